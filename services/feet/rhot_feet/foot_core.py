@@ -24,7 +24,7 @@ from rhot.plugins import load_plugin
 from rhot.rig.feet_config import FeetConfig
 from rhot_feet.depth.tracker import DepthObservations, DepthTracker
 from rhot_feet.filter.foot_filter import FootFilter
-from rhot_feet.filter.kinematic import KINEMATIC
+from rhot_feet.filter.kinematic import unseen_error_m
 from rhot_feet.filter.model import FootFilterSettings, FootState
 from rhot_feet.frames import DepthFrame
 from rhot_feet.head_track import HeadTrack
@@ -33,43 +33,14 @@ from rhot_feet.marker.tracker import FootMarker, MarkerTracker
 from rhot_feet.prediction import OTHER_FOOT, FootPrediction
 from rhot_feet.view import HEAD_ROTATION_RAD, FootDetections, View
 
+_MEASURED_M: Final = 0.06
+"""Largest sigma of a position in state `measured`."""
+_MODEL_ERROR_M: Final = 0.01
+"""Error of the inertial filter beyond its covariance, and its growth per second unseen, because tilt and bias are not
+white noise; added to the gates.
+"""
+
 RIG_FRAME: Final = "rig"
-
-
-@dataclass(frozen=True, slots=True)
-class FootCoreSettings:
-    """When a foot is known, published and searched; chosen on `rhot evaluate feet` with false and hidden markers.
-
-    Sigmas are roots of the sum of the three variances.
-
-    Attributes:
-        known_rotation_rad: largest sigma of an orientation that counts as observed.
-        measured_m: largest sigma of a position in state `measured`.
-        lost_m, lost_moving_m: a foot with a larger sigma is searched in the whole image and not published; the second
-            applies while its sensor works.
-        published_moving_m: largest sigma at which it is published while its sensor works; without one, `measured_m`.
-        sensor_ns: time after its last sample for which a sensor counts as working.
-        contradicted_s: if markers are rejected by the prediction for this long, the prediction is discarded.
-        model_error_m, drift_m_s: error of the inertial filter beyond its covariance, and its growth per second unseen,
-            because tilt and bias are not white noise; added to the gates.
-        model_every: the blob models are updated in one of this many images that show a marker.
-        silent_ns: without new measurements, poses are published for the present time minus this.
-    """
-
-    known_rotation_rad: float = math.radians(120.0)
-    measured_m: float = 0.06
-    lost_m: float = 0.5
-    lost_moving_m: float = 0.2
-    published_moving_m: float = 0.1
-    sensor_ns: int = 250_000_000
-    contradicted_s: float = 0.75
-    model_error_m: float = 0.01
-    drift_m_s: float = 0.1
-    model_every: int = 4
-    silent_ns: int = 60_000_000
-
-
-SETTINGS: Final = FootCoreSettings()
 
 
 class _Filter(Protocol):
@@ -187,7 +158,8 @@ class FootCore:
                 seen[side] = FootPrediction(marker.position, marker.covariance[3:, 3:], R)
         hidden = {side: foot for side, foot in view.expected.items() if side not in markers.markers}
         self._pictures += 1
-        update_models = self._pictures % SETTINGS.model_every == 0
+        # The blob models are updated in one of this many images that show a marker.
+        update_models = self._pictures % 4 == 0
         if not (hidden or update_models):
             return FootDetections(view, markers, DepthObservations({}, {}, None))
         return FootDetections(
@@ -220,7 +192,8 @@ class FootCore:
 
     def due_ns(self, now_ns: int) -> int:
         """Return the time for which poses are due: of the newest measurement, plus the configured prediction."""
-        return max(self._newest_ns, now_ns - SETTINGS.silent_ns) + self._predict_ns
+        # Without new measurements, poses are published for the present time minus this.
+        return max(self._newest_ns, now_ns - 60_000_000) + self._predict_ns
 
     def poses(self, t_ns: int) -> list[Output]:
         """Return every foot that is known at a moment, with its key."""
@@ -230,13 +203,17 @@ class FootCore:
             if state is None:
                 continue
             confirmed = state.stage in ("marker", "depth") or (state.stage == "inertial" and state.stationary)
-            confirmed &= state.sigma_m <= SETTINGS.measured_m
+            confirmed &= state.sigma_m <= _MEASURED_M
             if confirmed:
                 foot.confirmed_ns = max(foot.confirmed_ns, t_ns)
-            has_sensor = t_ns - foot.imu_ns <= SETTINGS.sensor_ns
-            lost_m = SETTINGS.lost_moving_m if has_sensor else SETTINGS.lost_m
+            # Time after its last sample for which a sensor counts as working.
+            has_sensor = t_ns - foot.imu_ns <= 250_000_000
+            # A foot with a larger sigma is searched in the whole image and not
+            # published; the second applies while its sensor works.
+            lost_m = 0.2 if has_sensor else 0.5
             foot.lost = t_ns - max(foot.confirmed_ns, state.measured_ns) > self._hold_ns or state.sigma_m > lost_m
-            published_m = SETTINGS.published_moving_m if has_sensor else SETTINGS.measured_m
+            # Largest sigma at which it is published while its sensor works; without one, `measured_m`.
+            published_m = 0.1 if has_sensor else _MEASURED_M
             if not (foot.lost or state.sigma_m > published_m):
                 outputs.append((f"rhot/foot/{side}", _message(side, state, confirmed=confirmed)))
         return outputs
@@ -249,22 +226,24 @@ class FootCore:
         position = R @ (state.position - T_rig_camera[:3, 3])
         unseen_s = max(0.0, 1e-9 * (t_ns - state.measured_ns))
         if isinstance(foot.filter, FootFilter) and foot.filter.aligned:
-            error_m = SETTINGS.model_error_m + SETTINGS.drift_m_s * min(unseen_s, 1.0)
+            error_m = _MODEL_ERROR_M + 0.1 * min(unseen_s, 1.0)
         elif state.followed:
             # Its covariance allows for the drift.
-            error_m = SETTINGS.model_error_m
+            error_m = _MODEL_ERROR_M
         else:
-            error_m = KINEMATIC.unseen_error_m(unseen_s)
+            error_m = unseen_error_m(unseen_s)
         covariance = R @ state.covariance @ R.T + error_m**2 * np.eye(3)
         rotation_covariance = R @ state.orientation_covariance @ R.T
-        if np.trace(rotation_covariance) > SETTINGS.known_rotation_rad**2:
+        # Largest sigma of an orientation that counts as observed.
+        if np.trace(rotation_covariance) > math.radians(120.0) ** 2:
             return FootPrediction(position, covariance)
         return FootPrediction(
             position, covariance, R @ rotation_from_quaternion(state.orientation_xyzw), rotation_covariance
         )
 
     def _is_contradicted(self, foot: _Foot, t_ns: int) -> bool:
-        return foot.contradicted_ns is not None and t_ns - foot.contradicted_ns > SETTINGS.contradicted_s * 1e9
+        # If markers are rejected by the prediction for this long, the prediction is discarded.
+        return foot.contradicted_ns is not None and t_ns - foot.contradicted_ns > 0.75 * 1e9
 
     def _note_contradiction(self, foot: _Foot, t_ns: int, *, accepted: bool, contradicted: bool) -> None:
         """Note since when a foot's marker is seen where it is not expected, and nothing confirms the prediction."""

@@ -9,7 +9,6 @@ from foot_walk import UP, Walk, ns
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_between, rotation_from_quaternion
 from rhot_feet.filter.foot_filter import FootFilter
-from rhot_feet.filter.kinematic import KINEMATIC
 from rhot_feet.filter.model import FootFilterSettings, FootState
 from rhot_feet.imu.conversion import FusedImuConverter
 
@@ -130,7 +129,7 @@ def test_samples_that_are_missing_end_what_is_known() -> None:
 def test_what_only_setting_off_explains_is_followed_at_once() -> None:
     """A foot that moves slowly, sets off unseen with 20 m/s² and is seen again 0.1 s later."""
     foot, random = filter_of_a_standing_foot(), np.random.default_rng(2)
-    slow_m_s, a = 0.35, KINEMATIC.set_off_m_s2
+    slow_m_s, a = 0.35, 20.0
     for k in range(60):
         t = k / 60.0 - 1.0
         foot.update_marker(

@@ -7,8 +7,8 @@ from rhot.geometry.rotations import rotation_z
 from rhot_feet.filter.inertial import InertialModel
 from rhot_feet.filter.kinematic import KinematicModel
 from rhot_feet.filter.strapdown import InertialNoise, InertialState, Strapdown
-from rhot_feet.filter.zero_velocity_update import ZUPT, zero_velocity_update
-from rhot_feet.imu.zero_velocity_detector import MOVING, ZeroVelocity
+from rhot_feet.filter.zero_velocity_update import zero_velocity_update
+from rhot_feet.imu.zero_velocity_detector import MOVING, SAMPLE_S, ZeroVelocity
 
 STANDS = ZeroVelocity(still=True, speed_sigma=0.01, rate=None)
 NO_RATE = np.zeros(3)
@@ -18,11 +18,11 @@ def test_a_standing_foot_loses_its_velocity_and_a_moving_one_keeps_it() -> None:
     model = KinematicModel()
     state = model.start(np.zeros(3), 1e-4 * np.eye(3), None)
     state.motion[3:6] = [0.3, 0.0, 0.0]
-    assert zero_velocity_update(model, state, MOVING, NO_RATE, ZUPT.sample_s, gated=True) is state
-    stood = zero_velocity_update(model, state, STANDS, NO_RATE, ZUPT.sample_s, gated=True)
+    assert zero_velocity_update(model, state, MOVING, NO_RATE, SAMPLE_S, gated=True) is state
+    stood = zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, gated=True)
     assert np.linalg.norm(stood.motion[3:6]) < 0.001
     # Samples that follow each other four times as fast say half as much each.
-    often = zero_velocity_update(model, state, STANDS, NO_RATE, ZUPT.sample_s / 4.0, gated=True)
+    often = zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S / 4.0, gated=True)
     assert np.sqrt(often.P[3, 3]) == pytest.approx(2.0 * np.sqrt(stood.P[3, 3]), rel=0.01)
 
 
@@ -31,8 +31,8 @@ def test_only_a_gated_update_is_refused() -> None:
     state = model.start(np.zeros(3), 1e-4 * np.eye(3), None)
     state.P[3:6, 3:6] = 0.01**2 * np.eye(3)
     state.motion[3:6] = [1.0, 0.0, 0.0]
-    assert zero_velocity_update(model, state, STANDS, NO_RATE, ZUPT.sample_s, gated=True) is state
-    assert zero_velocity_update(model, state, STANDS, NO_RATE, ZUPT.sample_s, gated=False).motion[3] < 0.9
+    assert zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, gated=True) is state
+    assert zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, gated=False).motion[3] < 0.9
 
 
 def test_a_foot_that_rolls_moves_about_where_it_touches_the_floor() -> None:
@@ -45,7 +45,7 @@ def test_a_foot_that_rolls_moves_about_where_it_touches_the_floor() -> None:
     state = InertialState(zero, forwards, R, zero, zero, zero, np.eye(3), P)
     rolls = ZeroVelocity(still=False, speed_sigma=0.01, rate=None, rolls_m=0.1)
     rate = R.T @ toes_down
-    rolled = zero_velocity_update(model, state, rolls, rate, ZUPT.sample_s, gated=True)
-    stopped = zero_velocity_update(model, state, STANDS, rate, ZUPT.sample_s, gated=True)
+    rolled = zero_velocity_update(model, state, rolls, rate, SAMPLE_S, gated=True)
+    stopped = zero_velocity_update(model, state, STANDS, rate, SAMPLE_S, gated=True)
     assert rolled.velocity == pytest.approx(forwards, abs=1e-9)
     assert np.linalg.norm(stopped.velocity) < 0.001

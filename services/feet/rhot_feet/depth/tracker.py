@@ -25,46 +25,16 @@ from rhot_feet.depth.visibility import SurfaceShape, SurfaceView, sample_shape
 from rhot_feet.frames import DepthFrame
 from rhot_feet.prediction import GATE_SIGMAS, OTHER_FOOT, FootPrediction, innovation_distance, predicted_region
 
+_AREA_RATIO: Final = (0.4, 2.0)
+"""Accepted range of the visible surface relative to the usual one."""
+_MOST_CUT: Final = 0.5
+"""Largest share of the outline at the image border."""
+_LEAST_VISIBLE: Final = 0.2
+"""Smallest visible share of the foot's surface."""
+
 # The model of a foot's blob: averaged while its marker is seen, used later to check blobs and find the marker.
 
 BlobRefusal = Literal["hidden", "size", "cut", "unsettled", "other", "motion"]
-
-
-@dataclass(frozen=True, slots=True)
-class BlobModelSettings:
-    """How a foot's blob is averaged and checked; values chosen on `rhot evaluate feet --runs depth`.
-
-    Attributes:
-        forgetting: smallest weight of a new image in the averages.
-        first_sigma_m, least_sigma_m: standard deviation of an offset seen once, and its lower bound, per axis.
-        area_ratio: accepted range of the visible surface relative to the usual one.
-        area_sigma, hidden_sigma: growth of the noise per e-fold of that ratio, and with the hidden share.
-        most_cut: largest share of the outline at the image border.
-        least_visible: smallest visible share of the foot's surface.
-        whole_share: the shape is updated by a blob with at least this share of the largest surface seen.
-        level_share: part of an error of the predicted height that remains in the result, because the blob is cut off at
-            the predicted height.
-        other_foot_m: smallest distance of two feet's markers; closer blobs are the same foot.
-        beside_m, both_share: closer feet whose surfaces together are below `both_share` (usual surface of each: 1) are
-            the same foot.
-    """
-
-    forgetting: float = 0.03
-    first_sigma_m: float = 0.02
-    least_sigma_m: float = 0.004
-    area_ratio: tuple[float, float] = (0.4, 2.0)
-    area_sigma: float = 1.5
-    hidden_sigma: float = 1.0
-    most_cut: float = 0.5
-    least_visible: float = 0.2
-    whole_share: float = 0.95
-    level_share: float = 0.4
-    other_foot_m: float = 0.08
-    beside_m: float = 0.15
-    both_share: float = 1.4
-
-
-SETTINGS: Final = BlobModelSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +52,10 @@ class Neighbour:
     def excludes(self, position: FloatArray, share: float) -> bool:
         """Return whether a blob at a position (3,), with this share of a foot's surface, belongs to this foot."""
         distance = float(np.linalg.norm(position - self.position))
-        return distance < (SETTINGS.beside_m if self.share + share < SETTINGS.both_share else SETTINGS.other_foot_m)
+        # Smallest distance of two feet's markers; closer blobs are the same foot.
+        # Closer feet whose surfaces together are below `both_share` (usual surface of
+        # each: 1) are the same foot.
+        return distance < (0.15 if self.share + share < 1.4 else 0.08)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +84,7 @@ class BlobModel:
 
     def share(self, blob: FootBlob) -> float:
         """Return the ratio of a blob's surface to the expected visible surface."""
-        return blob.area / (max(blob.in_sight, SETTINGS.least_visible) * self.area)
+        return blob.area / (max(blob.in_sight, _LEAST_VISIBLE) * self.area)
 
     def check(
         self, foot: FootPrediction, blob: FootBlob, others: Sequence[Neighbour], up: FloatArray
@@ -126,10 +99,10 @@ class BlobModel:
         """
         ratio = self.share(blob)
         wrong: dict[BlobRefusal, bool] = {
-            "hidden": blob.in_sight < SETTINGS.least_visible,
+            "hidden": blob.in_sight < _LEAST_VISIBLE,
             "other": any(other.excludes(blob.position, ratio) for other in others),
-            "size": not SETTINGS.area_ratio[0] <= ratio <= SETTINGS.area_ratio[1],
-            "cut": blob.cut > SETTINGS.most_cut,
+            "size": not _AREA_RATIO[0] <= ratio <= _AREA_RATIO[1],
+            "cut": blob.cut > _MOST_CUT,
             "unsettled": not blob.settled,
         }
         reason = next((reason for reason, holds in wrong.items() if holds), None)
@@ -141,9 +114,12 @@ class BlobModel:
     def _covariance(self, foot: FootPrediction, blob: FootBlob, ratio: float, up: FloatArray) -> FloatArray:
         R = axes(foot)
         # A blob that shows less of the foot than usual has its centre elsewhere.
-        doubt = 1.0 + SETTINGS.area_sigma * abs(float(np.log(ratio))) + SETTINGS.hidden_sigma * (1.0 - blob.in_sight)
-        variance = (self.variance + SETTINGS.least_sigma_m**2) * doubt**2
-        level_variance = SETTINGS.level_share**2 * float(up @ foot.covariance @ up)
+        # Growth of the noise per e-fold of that ratio, and with the hidden share.
+        doubt = 1.0 + 1.5 * abs(float(np.log(ratio))) + 1.0 * (1.0 - blob.in_sight)
+        variance = (self.variance + 0.004**2) * doubt**2
+        # Part of an error of the predicted height that remains in the result, because the blob is cut off at
+        # the predicted height.
+        level_variance = 0.4**2 * float(up @ foot.covariance @ up)
         covariance: FloatArray = R @ np.diag(variance) @ R.T + level_variance * np.outer(up, up)
         if foot.orientation_covariance is not None:
             seen = blob.compared
@@ -164,7 +140,7 @@ def update_blob_model(
         camera: the camera's model.
         known: the former model, in the same axes; None at first.
     """
-    if blob.cut > SETTINGS.most_cut or blob.in_sight < SETTINGS.least_visible:
+    if blob.cut > _MOST_CUT or blob.in_sight < _LEAST_VISIBLE:
         return known
     R = axes(foot)
     offset = R.T @ (foot.position - blob.centroid)
@@ -172,8 +148,11 @@ def update_blob_model(
     view = SurfaceView(grid, camera, foot.position, R)
     shape = sample_shape((blob.points - foot.position) @ R, blob.weights, blob.whole_area, view)
     if known is None:
-        return BlobModel(offset, np.full(3, SETTINGS.first_sigma_m**2), area, 1, shape, foot.R_camera_foot is not None)
-    share = max(1.0 / (known.count + 1), SETTINGS.forgetting)
+        # Standard deviation of an offset seen once, and its lower bound, per
+        # axis.
+        return BlobModel(offset, np.full(3, 0.02**2), area, 1, shape, foot.R_camera_foot is not None)
+    # Smallest weight of a new image in the averages.
+    share = max(1.0 / (known.count + 1), 0.03)
     difference = offset - known.mean
     now = BlobModel(
         known.mean + share * difference,
@@ -184,7 +163,8 @@ def update_blob_model(
         known.in_foot,
     )
     # The shape is what was seen most of. Another one has its centroid and its surface elsewhere.
-    if shape.area > SETTINGS.whole_share * known.shape.area:
+    # The shape is updated by a blob with at least this share of the largest surface seen.
+    if shape.area > 0.95 * known.shape.area:
         moved = known.shape.mean - shape.mean
         return replace(now, mean=now.mean + moved, area=now.area * shape.area / known.shape.area, shape=shape)
     return now

@@ -28,47 +28,15 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import cross_matrix, rotation_cosine, rotation_z, vector_from_rotation
 from rhot_feet.filter.model import FootMotion
 from rhot_feet.imu.samples import GRAVITY_M_S2
-from rhot_feet.imu.track import DROPOUT, ImuInterval
+from rhot_feet.imu.track import HELD_NS, ImuInterval
+
+_EARLY_RAD: Final = 0.1
+"""The same of a heel that is hardly lifted, by the sine of how far: the joints of the toes lie askew. With `axis_rad`
+this is 20° at a lift of 20° and 12° at 55°. Five recorded walks were 20° off there, root mean square, and 11° at
+their highest lifts of 31 to 66° (`rhot evaluate steps`).
+"""
 
 
-@dataclass(frozen=True, slots=True)
-class DisplacementSettings:
-    """How wrong the displacement is, one sigma over all axes where nothing else is said.
-
-    Attributes:
-        acceleration_m_s2: error of the level acceleration: a tilt of 1.5° (`InertialSettings.tilt_rad`).
-        position_m: of the foot when it stood.
-        stopped: share of a swing's correction by its end that is still wrong: tilt and bias are not quite even.
-        worn_m: where on the foot the sensor is: a strap goes 3 cm around the ankle.
-        axis_rad: by how much the axis of a lifted heel differs from straight across the foot, however high it is.
-        early_rad: the same of a heel that is hardly lifted, by the sine of how far: the joints of the toes lie askew.
-            With `axis_rad` this is 20° at a lift of 20° and 12° at 55°. Five recorded walks were 20° off there, root
-            mean square, and 11° at their highest lifts of 31 to 66° (`rhot evaluate steps`).
-        least_lift_rad: a foot that is tilted by less says nothing; so far it is decided whether heel or toes rise.
-        pivot_m, ankle_m: the point about which a foot turns lies this far before an ankle of this height, or farther,
-            when the heel is lifted: the ball is 0.1 m and more before it, the heel 0.05 m behind it.
-        seen_rotation_rad: an orientation known worse than this, per axis, was never seen.
-        rotation_rad: of the foot when it stood, per axis.
-        late_ns: how late what is seen may be.
-        noticed_ns: how late it is noticed that a foot sets off: the window of the zero-velocity detector.
-    """
-
-    acceleration_m_s2: float = GRAVITY_M_S2 * math.sin(math.radians(1.5))
-    position_m: float = 0.01
-    stopped: float = 0.3
-    worn_m: float = 0.03
-    axis_rad: float = 0.17
-    early_rad: float = 0.1
-    least_lift_rad: float = math.radians(15.0)
-    pivot_m: float = 0.065
-    ankle_m: float = 0.1
-    seen_rotation_rad: float = math.radians(60.0)
-    rotation_rad: float = math.radians(5.0)
-    late_ns: int = 250_000_000
-    noticed_ns: int = 40_000_000
-
-
-SETTINGS: Final = DisplacementSettings()
 _UNIT: Final = np.eye(3)
 _GRAVITY: Final = np.array([0.0, 0.0, GRAVITY_M_S2])
 
@@ -88,7 +56,8 @@ class _Lift:
     @property
     def sigma_rad(self) -> float:
         """Of the yaw that follows from it."""
-        return math.hypot(SETTINGS.axis_rad, SETTINGS.early_rad / math.sin(self.lift_rad))
+        # By how much the axis of a lifted heel differs from straight across the foot, however high it is.
+        return math.hypot(0.17, _EARLY_RAD / math.sin(self.lift_rad))
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +122,8 @@ class UnseenDisplacement:
     def stood(self, motion: FootMotion) -> None:
         """Note where the foot stood when it set off."""
         self._stood = motion
-        self._seen = _Sight(motion.position, SETTINGS.position_m**2 / 3.0 * _UNIT, self._start)
+        # Standard deviation of the foot's position when it stood.
+        self._seen = _Sight(motion.position, 0.01**2 / 3.0 * _UNIT, self._start)
 
     def forget(self) -> None:
         """Note that samples are missing."""
@@ -189,7 +159,9 @@ class UnseenDisplacement:
                 then = self._seen.moment
                 corrected = replace(then, way=then.way - (0.5 * then.moving_s**2) * even, moving_s=0.0)
                 self._seen = replace(self._seen, moment=corrected)
-            drift_m = now.drift_m + SETTINGS.stopped * float(np.linalg.norm(astray))
+            # Share of a swing's correction by its end that is still wrong: tilt and bias are not quite
+            # even.
+            drift_m = now.drift_m + 0.3 * float(np.linalg.norm(astray))
             now = _Moment(interval.t_ns, now.way - astray, interval.R_world, 0.0, drift_m)
             self._velocity = np.zeros(3)
         else:
@@ -200,11 +172,13 @@ class UnseenDisplacement:
             now = self._moved(now, interval)
         if still:
             self._standing.append(interval)
-            while interval.t_ns - self._standing[0].t_ns > SETTINGS.noticed_ns:
+            # How late it is noticed that a foot sets off: the window of the zero-velocity detector.
+            while interval.t_ns - self._standing[0].t_ns > 40_000_000:
                 self._standing.popleft()
         self._now = now
         self._before.append(now)
-        while now.t_ns - self._before[0].t_ns > SETTINGS.late_ns:
+        # How late what is seen may be.
+        while now.t_ns - self._before[0].t_ns > 250_000_000:
             self._before.popleft()
         if now.moving_s > 0.0:
             self._note_lift()
@@ -219,7 +193,7 @@ class UnseenDisplacement:
 
     def known_at(self, t_ns: int) -> bool:
         """Return whether a sensor has followed the foot from a stand in sight until a moment."""
-        return self._known and t_ns - self._now.t_ns <= DROPOUT.held_ns
+        return self._known and t_ns - self._now.t_ns <= HELD_NS
 
     def moved(self, t_ns: int, motion: FootMotion) -> FootMotion:
         """Return the foot at a moment; `motion`, what is known otherwise, where the sensor knows no better."""
@@ -236,7 +210,8 @@ class UnseenDisplacement:
         if stood is None or seen is None or moment.t_ns < seen.moment.t_ns:
             return None
         # The foot's orientation while it stood makes the sensor's way one of the marker.
-        oriented = float(np.trace(stood.rotation_covariance)) < 3.0 * SETTINGS.seen_rotation_rad**2
+        # An orientation known worse than this, per axis, was never seen.
+        oriented = float(np.trace(stood.rotation_covariance)) < 3.0 * math.radians(60.0) ** 2
         if oriented and self._lift is not None:
             return self._along(motion, stood.rotation, seen, moment, self._lift)
         return self._upwards(motion, seen, moment)
@@ -245,10 +220,14 @@ class UnseenDisplacement:
         """Take the lift of the heel, where it is higher than before; of toes that are lifted first nothing is taken."""
         turned = vector_from_rotation(self._now.R @ self._start.R.T)
         lift_rad = math.hypot(turned[0], turned[1])
-        if self._toes_first or not SETTINGS.least_lift_rad < lift_rad < math.radians(90.0):
+        # A foot that is tilted by less says nothing; so far it is decided whether heel or toes rise.
+        if self._toes_first or not math.radians(15.0) < lift_rad < math.radians(90.0):
             return
         if self._lift is None:
-            least_m = SETTINGS.pivot_m * math.sin(lift_rad) - SETTINGS.ankle_m * (1.0 - math.cos(lift_rad))
+            # The point about which a foot turns lies this far before an ankle of this
+            # height, or farther, when the heel is lifted: the ball is 0.1 m and more before it, the heel
+            # 0.05 m behind it.
+            least_m = 0.065 * math.sin(lift_rad) - 0.1 * (1.0 - math.cos(lift_rad))
             self._toes_first = self._now.way[2] < least_m
         direction_rad = math.atan2(turned[1], turned[0])
         if self._lift is None:
@@ -264,7 +243,10 @@ class UnseenDisplacement:
         """Return the error of the way between two moments, over all axes, with a lever that is known so well."""
         chord = math.sqrt(max(0.0, 2.0 - 2.0 * rotation_cosine(now.R, then.R)))
         drift_m = (
-            0.5 * SETTINGS.acceleration_m_s2 * (now.moving_s**2 - then.moving_s**2 * (now.drift_m == then.drift_m))
+            # Error of the level acceleration: a tilt of 1.5°.
+            0.5
+            * (GRAVITY_M_S2 * math.sin(math.radians(1.5)))
+            * (now.moving_s**2 - then.moving_s**2 * (now.drift_m == then.drift_m))
         )
         return math.hypot(lever_m * chord, now.drift_m - then.drift_m + drift_m)
 
@@ -289,11 +271,13 @@ class UnseenDisplacement:
         about_up = cross_matrix(up)
         d_position = about_up @ way - (about_up @ turned - turned @ about_up) @ arm
         d_rotation = up - turns[0] @ up
-        yaw_variance, error_m = lift.sigma_rad**2, self._error_m(seen.moment, now, SETTINGS.worn_m)
+        # Where on the foot the sensor is: a strap goes 3 cm around the ankle.
+        yaw_variance, error_m = lift.sigma_rad**2, self._error_m(seen.moment, now, 0.03)
         return replace(
             motion,
             position=seen.position + way - turned @ arm,
             rotation=turns[0] @ R_stood,
             covariance=seen.covariance + yaw_variance * np.outer(d_position, d_position) + (error_m**2 / 3.0) * _UNIT,
-            rotation_covariance=yaw_variance * np.outer(d_rotation, d_rotation) + SETTINGS.rotation_rad**2 * _UNIT,
+            # Standard deviation of its rotation when it stood, per axis.
+            rotation_covariance=yaw_variance * np.outer(d_rotation, d_rotation) + math.radians(5.0) ** 2 * _UNIT,
         )

@@ -22,7 +22,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot_feet.filter.displacement import UnseenDisplacement
 from rhot_feet.filter.inertial import InertialModel
-from rhot_feet.filter.kinematic import KINEMATIC, KinematicModel, KinematicState
+from rhot_feet.filter.kinematic import KinematicModel, KinematicState, set_off_m
 from rhot_feet.filter.model import FilterCounts, FootFilterSettings, FootMotion, FootState, Observation, Stage
 from rhot_feet.filter.out_of_sequence import StateHistory
 from rhot_feet.filter.strapdown import InertialState, Strapdown
@@ -181,7 +181,7 @@ class FootFilter:
             self._stage(t_ns, stands=stands),
             stands,
             measured_ns,
-            0.0 if followed else KINEMATIC.set_off_m(1e-9 * (t_ns - measured_ns)),
+            0.0 if followed else set_off_m(1e-9 * (t_ns - measured_ns)),
             followed,
         )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -25,43 +24,9 @@ from rhot_feet.filter.strapdown import (
     Strapdown,
     correct,
 )
-from rhot_feet.filter.zero_velocity_update import ZUPT
 from rhot_feet.imu.alignment.equations import Alignment
 from rhot_feet.imu.track import InertialStep
-
-
-@dataclass(frozen=True, slots=True)
-class InertialSettings:
-    """What the inertial model starts from, standard deviations per axis; chosen on `rhot evaluate feet`.
-
-    Attributes:
-        tilt_rad: of a sensor's own idea of up.
-        rate_bias_rad_s: of the gyroscope; a BNO080 has removed its bias, a raw sensor has been still at some time.
-        position_m, lever_m, bias_m_s2: added to what the alignment states.
-        mounting_rad, unknown_mounting_rad: of the mounting, when the marker showed it and when not.
-        speed_at_rest_m_s, speed_in_motion_m_s: of the velocity.
-        restart_position_m, restart_speed_m_s, restart_tilt_rad: after a restart.
-        kept_mounting_rad: a mounting known better than this, over all axes, serves a sensor that comes back.
-        zero_rate_rad_s: noise of the rate as a measure of its bias at rest, for one sample of 5 ms.
-        most_bias_rad_s: a sensor that measures more than this beyond its bias does rotate, however evenly.
-    """
-
-    tilt_rad: float = math.radians(1.5)
-    rate_bias_rad_s: float = math.radians(0.3)
-    position_m: float = 0.01
-    lever_m: float = 0.01
-    bias_m_s2: float = 0.03
-    mounting_rad: float = math.radians(3.0)
-    unknown_mounting_rad: float = math.radians(90.0)
-    speed_at_rest_m_s: float = 0.02
-    speed_in_motion_m_s: float = 1.5
-    restart_position_m: float = 0.02
-    restart_speed_m_s: float = 1.0
-    restart_tilt_rad: float = math.radians(3.0)
-    kept_mounting_rad: float = math.radians(20.0)
-    zero_rate_rad_s: float = math.radians(3.0)
-    most_bias_rad_s: float = math.radians(1.0)
-
+from rhot_feet.imu.zero_velocity_detector import SAMPLE_S
 
 _UNIT: Final = np.eye(3)
 
@@ -69,15 +34,13 @@ _UNIT: Final = np.eye(3)
 class InertialModel:
     """The error-state filter of a foot whose sensor is aligned."""
 
-    def __init__(self, strapdown: Strapdown, C: FloatArray, settings: InertialSettings | None = None) -> None:
+    def __init__(self, strapdown: Strapdown, C: FloatArray) -> None:
         """Set the frame.
 
         Args:
             strapdown: of the sensor.
             C: (3, 3) from level axes (z up) to the rig frame.
-            settings: initial uncertainty.
         """
-        self._settings = settings or InertialSettings()
         self._strapdown = strapdown
         self._C = C
 
@@ -102,17 +65,21 @@ class InertialModel:
         R = self._C @ rotation_z(alignment.yaw_rad) @ R_world_sensor
         arm = R @ alignment.lever
         up = self._C[:, 2]
-        settings = self._settings
-        speed = settings.speed_at_rest_m_s if stands else settings.speed_in_motion_m_s
-        mounting = settings.mounting_rad if alignment.mounting_known else settings.unknown_mounting_rad
+        # Standard deviation of the velocity.
+        speed = 0.02 if stands else 1.5
+        # Standard deviation of the mounting, when the marker showed it and when not.
+        mounting = math.radians(3.0) if alignment.mounting_known else math.radians(90.0)
         # Errors that are independent of each other.
         source = np.zeros((SIZE, SIZE))
-        source[POSITION, POSITION] = motion.covariance + settings.position_m**2 * _UNIT
+        # Added to the standard deviations that the alignment states.
+        source[POSITION, POSITION] = motion.covariance + 0.01**2 * _UNIT
         source[VELOCITY, VELOCITY] = speed**2 * _UNIT
-        source[ATTITUDE, ATTITUDE] = settings.tilt_rad**2 * _UNIT + alignment.yaw_sigma_rad**2 * np.outer(up, up)
-        source[LEVER, LEVER] = alignment.covariance[:3, :3] + settings.lever_m**2 * _UNIT
-        source[ACCELEROMETER, ACCELEROMETER] = alignment.covariance[3:, 3:] + settings.bias_m_s2**2 * _UNIT
-        source[GYROSCOPE, GYROSCOPE] = settings.rate_bias_rad_s**2 * _UNIT
+        # Standard deviation of a sensor's own idea of up.
+        source[ATTITUDE, ATTITUDE] = math.radians(1.5) ** 2 * _UNIT + alignment.yaw_sigma_rad**2 * np.outer(up, up)
+        source[LEVER, LEVER] = alignment.covariance[:3, :3] + 0.01**2 * _UNIT
+        source[ACCELEROMETER, ACCELEROMETER] = alignment.covariance[3:, 3:] + 0.03**2 * _UNIT
+        # Bias of the gyroscope; a BNO080 has removed its bias, a raw sensor has been still at some time.
+        source[GYROSCOPE, GYROSCOPE] = math.radians(0.3) ** 2 * _UNIT
         source[MOUNTING, MOUNTING] = mounting**2 * _UNIT
         # What follows from them: lever and bias from the yaw; the sensor's position from the lever, for the foot's is
         # known; and the mounting from the attitude, for the foot's orientation is known.
@@ -138,11 +105,11 @@ class InertialModel:
         """Return a state at an observed position that keeps what is known of the sensor."""
         R = state.R
         P = state.P.copy()
-        settings = self._settings
-        for part, sigma in ((POSITION, settings.restart_position_m), (VELOCITY, settings.restart_speed_m_s)):
+        # Standard deviations after a restart.
+        for part, sigma in ((POSITION, 0.02), (VELOCITY, 1.0)):
             P[part, :], P[:, part] = 0.0, 0.0
             P[part, part] = sigma**2 * _UNIT
-        P[ATTITUDE, ATTITUDE] += settings.restart_tilt_rad**2 * _UNIT
+        P[ATTITUDE, ATTITUDE] += math.radians(3.0) ** 2 * _UNIT
         P[POSITION, POSITION] += observation.covariance
         return InertialState(
             observation.position - R @ state.lever,
@@ -159,7 +126,8 @@ class InertialModel:
         """Return the lever and mounting of a sensor that goes away; its yaw may be another afterwards."""
         covariance = np.zeros((6, 6))
         covariance[:3, :3], covariance[3:, 3:] = state.P[LEVER, LEVER], state.P[ACCELEROMETER, ACCELEROMETER]
-        mounting_known = float(np.trace(state.P[MOUNTING, MOUNTING])) < self._settings.kept_mounting_rad**2
+        # A mounting known better than this, over all axes, serves a sensor that comes back.
+        mounting_known = float(np.trace(state.P[MOUNTING, MOUNTING])) < math.radians(20.0) ** 2
         lever, bias, M = state.lever.copy(), state.acceleration_bias.copy(), state.M.copy()
         return Alignment(0.0, np.pi, lever, bias, covariance, np.zeros(6), M, mounting_known)
 
@@ -198,9 +166,11 @@ class InertialModel:
     def zero_rate_update(self, state: InertialState, angular_rate: FloatArray, duration_s: float) -> InertialState:
         """Return the state after the sensor was measured not to rotate: its rate (3,), rad/s, is its bias."""
         residual = angular_rate - state.rate_bias
-        if residual @ residual > self._settings.most_bias_rad_s**2:
+        # A sensor that measures more than this beyond its bias does rotate, however evenly.
+        if residual @ residual > math.radians(1.0) ** 2:
             return state
-        noise = (self._settings.zero_rate_rad_s**2 * ZUPT.sample_s / duration_s) * _UNIT
+        # Noise of the rate as a measure of its bias at rest, for one sample of 5 ms.
+        noise = (math.radians(3.0) ** 2 * SAMPLE_S / duration_s) * _UNIT
         return correct(state, _H_RATE_BIAS, residual, noise)
 
     def motion(self, state: InertialState, angular_rate: FloatArray) -> FootMotion:

@@ -22,74 +22,38 @@ from rhot_feet.filter.model import FootMotion, Observation
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.track import InertialStep
 
-
-@dataclass(frozen=True, slots=True)
-class KinematicSettings:
-    """How feet move; values without another source were chosen on `rhot evaluate feet`.
-
-    Attributes:
-        correlation_s: time constant of acceleration and angular rate.
-        seen_s: after so long without an observation the foot comes to rest.
-        stop_s: time constant of the velocity from then on.
-        min_acceleration_m_s2, max_acceleration_m_s2: bounds of the standard deviation of the acceleration.
-        lever_m_s: acceleration that goes with a rate of rotation, m/s² per rad/s: a heel is lifted slowly before the
-            foot swings.
-        adaptation: how fast the standard deviation of the acceleration follows the NIS of the observations.
-        calm_nis: mean squared normalised innovation per axis below which it falls; above 1, so that noise alone calms.
-        most_nis: more than this per axis raises it no faster.
-        rate_rad_s: standard deviation of the rate of rotation.
-        rate_at_rest_rad_s, acceleration_at_rest_m_s2: what is left of rate and acceleration at zero velocity.
-        most_rotation_rad: a foot whose orientation was seen does not rotate by more unseen, per axis, one sigma.
-        start_speed_m_s, start_acceleration_m_s2, start_rate_rad_s: standard deviations at the start.
-        start_rotation_rad, unknown_rotation_rad: of the orientation at the start, seen and not seen.
-        start_liveliness_m_s2: standard deviation of the acceleration that a track starts with.
-        gate_floor_m: model error that the gate leaves room for.
-        set_off_m_s2: acceleration with which a standing foot sets off, one sigma. Gates allow for it at all times, the
-            filter where an observation shows it, and what is called measured ends with it.
-        stands_m_s: a sensor that is known to stand no better than this does not end a motion.
-        unexplained_nis: squared normalised innovation (3 degrees of freedom) above which it does: 99.9 %.
-        unseen_speed_m_s: how fast a foot that is not seen moves, one sigma.
-    """
-
-    correlation_s: float = 0.12
-    seen_s: float = 0.1
-    stop_s: float = 0.06
-    min_acceleration_m_s2: float = 0.5
-    max_acceleration_m_s2: float = 25.0
-    lever_m_s: float = 3.0
-    adaptation: float = 0.25
-    calm_nis: float = 1.25
-    most_nis: float = 5.0
-    rate_rad_s: float = 6.0
-    rate_at_rest_rad_s: float = 0.01
-    acceleration_at_rest_m_s2: float = 0.5
-    most_rotation_rad: float = math.radians(45.0)
-    start_speed_m_s: float = 1.0
-    start_acceleration_m_s2: float = 2.0
-    start_rate_rad_s: float = 1.0
-    start_rotation_rad: float = math.radians(5.0)
-    unknown_rotation_rad: float = math.radians(90.0)
-    start_liveliness_m_s2: float = 5.0
-    gate_floor_m: float = 0.01
-    set_off_m_s2: float = 20.0
-    stands_m_s: float = 0.15
-    unexplained_nis: float = 16.3
-    unseen_speed_m_s: float = 1.5
-
-    def set_off_m(self, unseen_s: float) -> float:
-        """Return how far a foot that stood may have gone since it was seen, one sigma, until it comes to rest."""
-        return 0.5 * self.set_off_m_s2 * min(max(unseen_s, 0.0), self.seen_s) ** 2
-
-    def unseen_error_m(self, unseen_s: float) -> float:
-        """Return how far a foot may have left its course since it was seen: one that stood may set off at any time."""
-        unseen_m = self.unseen_speed_m_s * max(unseen_s - self.seen_s, 0.0)
-        return self.gate_floor_m + self.set_off_m(unseen_s) + unseen_m
+_CORRELATION_S: Final = 0.12
+"""Time constant of acceleration and angular rate."""
+_SEEN_S: Final = 0.1
+"""After so long without an observation the foot comes to rest."""
+_STOP_S: Final = 0.06
+"""Time constant of the velocity from then on."""
+_MIN_ACCELERATION_M_S2: Final = 0.5
+"""Bounds of the standard deviation of the acceleration."""
+_MAX_ACCELERATION_M_S2: Final = 25.0
+_SET_OFF_M_S2: Final = 20.0
+"""Acceleration with which a standing foot sets off, one sigma. Gates allow for it at all times, the filter where an
+observation shows it, and what is called measured ends with it.
+"""
+_UNSEEN_SPEED_M_S: Final = 1.5
+"""How fast a foot that is not seen moves, one sigma."""
 
 
-KINEMATIC: Final = KinematicSettings()
 _UNIT: Final = np.eye(3)
 _H_POSITION: Final = np.concatenate([_UNIT, np.zeros((3, 6))], axis=1)
 _H_REST: Final = np.concatenate([np.zeros((6, 3)), np.eye(6)], axis=1)
+
+
+def set_off_m(unseen_s: float) -> float:
+    """Return how far a foot that stood may have gone since it was seen, one sigma, until it comes to rest."""
+    return 0.5 * _SET_OFF_M_S2 * min(max(unseen_s, 0.0), _SEEN_S) ** 2
+
+
+def unseen_error_m(unseen_s: float) -> float:
+    """Return how far a foot may have left its course since it was seen: one that stood may set off at any time."""
+    unseen_m = _UNSEEN_SPEED_M_S * max(unseen_s - _SEEN_S, 0.0)
+    # Model error that the gate leaves room for.
+    return 0.01 + set_off_m(unseen_s) + unseen_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,13 +91,22 @@ class KinematicModel:
             rotation: (3, 3) foot to rig, if it was seen.
         """
         P = np.zeros((9, 9))
-        P[:3, :3], P[3:6, 3:6] = covariance, KINEMATIC.start_speed_m_s**2 * _UNIT
-        P[6:, 6:] = KINEMATIC.start_acceleration_m_s2**2 * _UNIT
-        start_rad = KINEMATIC.unknown_rotation_rad if rotation is None else KINEMATIC.start_rotation_rad
-        rotation_covariance = np.diag([start_rad**2, KINEMATIC.start_rate_rad_s**2])
+        # Standard deviations at the start.
+        P[:3, :3], P[3:6, 3:6] = covariance, 1.0**2 * _UNIT
+        P[6:, 6:] = 2.0**2 * _UNIT
+        # Standard deviation of the orientation at the start, seen and not seen.
+        start_rad = math.radians(90.0) if rotation is None else math.radians(5.0)
+        rotation_covariance = np.diag([start_rad**2, 1.0**2])
         R = _UNIT if rotation is None else rotation
         return KinematicState(
-            np.r_[position, np.zeros(6)], P, R, np.zeros(3), rotation_covariance, KINEMATIC.start_liveliness_m_s2, 0.0
+            # Standard deviation of the acceleration that a track starts with.
+            np.r_[position, np.zeros(6)],
+            P,
+            R,
+            np.zeros(3),
+            rotation_covariance,
+            5.0,
+            0.0,
         )
 
     def follow(self, motion: FootMotion) -> KinematicState:
@@ -146,16 +119,16 @@ class KinematicModel:
         """Return the state `duration_s` later; a sensor only shows how strongly the foot is accelerated at least."""
         if step is not None:
             state = replace(state, acceleration_sigma=max(_shown_acceleration(step), state.acceleration_sigma))
-        seen_s = KINEMATIC.seen_s - state.unseen_s
+        seen_s = _SEEN_S - state.unseen_s
         if 0.0 < seen_s < duration_s:
             state, duration_s = self.predict(state, seen_s, step), duration_s - seen_s
-        h, unseen = duration_s, state.unseen_s >= KINEMATIC.seen_s
-        fades = math.exp(-h / KINEMATIC.correlation_s)
-        path = KINEMATIC.correlation_s * (1.0 - fades)
+        h, unseen = duration_s, state.unseen_s >= _SEEN_S
+        fades = math.exp(-h / _CORRELATION_S)
+        path = _CORRELATION_S * (1.0 - fades)
         F = _on_each_axis(_transition(h, unseen=unseen))
         P = F @ state.P @ F.T + _on_each_axis(_process_noise(h, state.acceleration_sigma))
         if unseen:
-            P[:3, :3] += KINEMATIC.unseen_speed_m_s**2 * (2.0 * state.unseen_s + h) * h * _UNIT
+            P[:3, :3] += _UNSEEN_SPEED_M_S**2 * (2.0 * state.unseen_s + h) * h * _UNIT
         return KinematicState(
             F @ state.motion,
             P,
@@ -163,13 +136,13 @@ class KinematicModel:
             fades * state.rate,
             _rotation_covariance(state.rotation_covariance, h),
             state.acceleration_sigma,
-            max(state.unseen_s + h, KINEMATIC.seen_s) if h == seen_s else state.unseen_s + h,
+            max(state.unseen_s + h, _SEEN_S) if h == seen_s else state.unseen_s + h,
         )
 
     def nis(self, state: KinematicState, observation: Observation) -> tuple[float, float]:
         """Return the squared normalised innovations of position and rotation."""
         residual = observation.position - state.motion[:3]
-        S = state.P[:3, :3] + observation.covariance + KINEMATIC.unseen_error_m(state.unseen_s) ** 2 * _UNIT
+        S = state.P[:3, :3] + observation.covariance + unseen_error_m(state.unseen_s) ** 2 * _UNIT
         position = squared_distance(residual, S)
         if observation.rotation is None:
             return position, 0.0
@@ -183,11 +156,12 @@ class KinematicModel:
         S = state.P[:3, :3] + observation.covariance
         nis = squared_distance(residual, S) / 3.0
         P = state.P
-        if 3.0 * nis > KINEMATIC.unexplained_nis:
+        # Squared normalised innovation (3 degrees of freedom) above which the foot has set off: 99.9 %.
+        if 3.0 * nis > 16.3:
             # Only a foot that set off unseen can be there, so it is one: position, velocity and acceleration follow.
-            bend_s = min(state.unseen_s, KINEMATIC.seen_s)
+            bend_s = min(state.unseen_s, _SEEN_S)
             set_off = np.array([0.5 * bend_s**2, bend_s, 1.0])
-            P = P + _on_each_axis(KINEMATIC.set_off_m_s2**2 * np.outer(set_off, set_off))
+            P = P + _on_each_axis(_SET_OFF_M_S2**2 * np.outer(set_off, set_off))
         motion, P = _correct(state.motion, P, _H_POSITION, residual, observation.covariance)
         R, rate, rotation_covariance = state.R, state.rate, state.rotation_covariance
         if observation.rotation is not None:
@@ -199,7 +173,11 @@ class KinematicModel:
             R, rate = orthonormal(rotation_from_vector(gain[0] * residual) @ R), rate + gain[1] * residual
             rotation_covariance = rotation_covariance - np.outer(gain, rotation_covariance[0])
         acceleration_sigma = state.acceleration_sigma * math.exp(
-            KINEMATIC.adaptation * (min(nis, KINEMATIC.most_nis) - KINEMATIC.calm_nis)
+            # How fast the standard deviation of the acceleration follows the NIS of the observations.
+            # Mean squared normalised innovation per axis below which it falls; above 1, so that noise
+            # alone calms.
+            # More than this per axis raises it no faster.
+            0.25 * (min(nis, 5.0) - 1.25)
         )
         return KinematicState(
             motion,
@@ -207,7 +185,7 @@ class KinematicModel:
             R,
             rate,
             rotation_covariance,
-            min(max(acceleration_sigma, KINEMATIC.min_acceleration_m_s2), KINEMATIC.max_acceleration_m_s2),
+            min(max(acceleration_sigma, _MIN_ACCELERATION_M_S2), _MAX_ACCELERATION_M_S2),
             0.0,
         )
 
@@ -218,21 +196,24 @@ class KinematicModel:
 
         Where a foot rolls to is not known of a sensor that is not aligned.
         """
-        if speed_sigma > KINEMATIC.stands_m_s:
+        # A sensor that is known to stand no better than this does not end a motion.
+        if speed_sigma > 0.15:
             return state
         S = state.P[3:6, 3:6] + speed_sigma**2 * _UNIT
         if gate_nis is not None and squared_distance(state.motion[3:6], S) > gate_nis:
             return state
-        noise = np.diag(np.repeat([speed_sigma**2, KINEMATIC.acceleration_at_rest_m_s2**2], 3))
+        noise = np.diag(np.repeat([speed_sigma**2, 0.5**2], 3))
         motion, P = _correct(state.motion, state.P, _H_REST, -state.motion[3:], noise)
-        rotation_covariance = np.diag([state.rotation_covariance[0, 0], KINEMATIC.rate_at_rest_rad_s**2])
+        # What is left of rate and acceleration at zero
+        # velocity.
+        rotation_covariance = np.diag([state.rotation_covariance[0, 0], 0.01**2])
         return replace(
             state,
             motion=motion,
             P=P,
             rate=np.zeros(3),
             rotation_covariance=rotation_covariance,
-            acceleration_sigma=KINEMATIC.min_acceleration_m_s2,
+            acceleration_sigma=_MIN_ACCELERATION_M_S2,
             unseen_s=0.0,
         )
 
@@ -255,22 +236,24 @@ def _shown_acceleration(step: InertialStep) -> float:
     """Return how strongly a sensor shows that its foot is accelerated at least, m/s²."""
     force = math.sqrt(float(step.force_after @ step.force_after))
     rate = math.sqrt(float(step.rotation_rad @ step.rotation_rad)) / step.duration_s
-    return min(max(abs(force - GRAVITY_M_S2), KINEMATIC.lever_m_s * rate), KINEMATIC.max_acceleration_m_s2)
+    # Acceleration that goes with a rate of rotation, m/s² per rad/s: a heel is lifted slowly before the foot
+    # swings.
+    return min(max(abs(force - GRAVITY_M_S2), 3.0 * rate), _MAX_ACCELERATION_M_S2)
 
 
 def _transition(h: float, *, unseen: bool) -> FloatArray:
     """Return F (3, 3) of position, velocity and acceleration over h seconds; a foot that is not seen comes to rest."""
-    fades = math.exp(-h / KINEMATIC.correlation_s)
+    fades = math.exp(-h / _CORRELATION_S)
     if unseen:
-        keeps = math.exp(-h / KINEMATIC.stop_s)
-        return np.array([[1.0, KINEMATIC.stop_s * (1.0 - keeps), 0.0], [0.0, keeps, 0.0], [0.0, 0.0, fades]])
-    path = KINEMATIC.correlation_s * (1.0 - fades)
-    return np.array([[1.0, h, KINEMATIC.correlation_s * (h - path)], [0.0, 1.0, path], [0.0, 0.0, fades]])
+        keeps = math.exp(-h / _STOP_S)
+        return np.array([[1.0, _STOP_S * (1.0 - keeps), 0.0], [0.0, keeps, 0.0], [0.0, 0.0, fades]])
+    path = _CORRELATION_S * (1.0 - fades)
+    return np.array([[1.0, h, _CORRELATION_S * (h - path)], [0.0, 1.0, path], [0.0, 0.0, fades]])
 
 
 def _process_noise(h: float, acceleration_sigma: float) -> FloatArray:
     """Return Q (3, 3) of position, velocity and acceleration over h seconds; Singer's, for h below the correlation."""
-    q = 2.0 * acceleration_sigma**2 / KINEMATIC.correlation_s
+    q = 2.0 * acceleration_sigma**2 / _CORRELATION_S
     return q * np.array(
         [
             [h**5 / 20.0, h**4 / 8.0, h**3 / 6.0],
@@ -282,11 +265,13 @@ def _process_noise(h: float, acceleration_sigma: float) -> FloatArray:
 
 def _rotation_covariance(covariance: FloatArray, h: float) -> FloatArray:
     """Return the covariance (2, 2) of rotation and rate about each axis h seconds later; a rotation is bounded."""
-    fades = math.exp(-h / KINEMATIC.correlation_s)
-    A = np.array([[1.0, KINEMATIC.correlation_s * (1.0 - fades)], [0.0, fades]])
-    w = 2.0 * KINEMATIC.rate_rad_s**2 / KINEMATIC.correlation_s
+    fades = math.exp(-h / _CORRELATION_S)
+    A = np.array([[1.0, _CORRELATION_S * (1.0 - fades)], [0.0, fades]])
+    # Standard deviation of the rate of rotation.
+    w = 2.0 * 6.0**2 / _CORRELATION_S
     later: FloatArray = A @ covariance @ A.T + w * np.array([[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]])
-    most = max(KINEMATIC.most_rotation_rad**2, float(covariance[0, 0]))
+    # A foot whose orientation was seen does not rotate by more unseen, per axis, one sigma.
+    most = max(math.radians(45.0) ** 2, float(covariance[0, 0]))
     if later[0, 0] > most:
         within = np.array([math.sqrt(most / later[0, 0]), 1.0])
         later *= np.outer(within, within)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from rhot_feet.filter.model import FootModel, Observation
-from rhot_feet.filter.zero_velocity_update import ZUPT, zero_velocity_update
+from rhot_feet.filter.zero_velocity_update import zero_velocity_update
 from rhot_feet.imu.track import ImuInterval
 
 State = TypeVar("State")
@@ -91,7 +91,8 @@ class StateHistory(Generic[State]):
             return state
         if isinstance(measurement, Observation):
             return self._model.update(state, measurement)
-        gated = measurement.t_ns - self._seen_ns < ZUPT.seen_ns
+        # Time after an observation for which a foot counts as seen.
+        gated = measurement.t_ns - self._seen_ns < 300_000_000
         return zero_velocity_update(
             self._model,
             state,

@@ -8,33 +8,13 @@ measured angular rate is the gyroscope's bias (zero-angular-rate update).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import TypeVar
 
 from rhot.arrays import FloatArray
 from rhot_feet.filter.model import FootModel
 from rhot_feet.imu.zero_velocity_detector import SAMPLE_S, ZeroVelocity
 
 State = TypeVar("State")
-
-
-@dataclass(frozen=True, slots=True)
-class ZeroVelocityUpdateSettings:
-    """How zero velocity enters the filter; values chosen on the dev trials of PyShoe (`rhot evaluate steps`).
-
-    Attributes:
-        sample_s: sample interval to which `ZeroVelocity.speed_sigma` refers, seconds.
-        gate_nis: squared normalised innovation (3 degrees of freedom) above which an update is refused while the foot
-            is seen. A foot that is not seen is always updated: then the filter is wrong, not the detector.
-        seen_ns: time after an observation for which a foot counts as seen.
-    """
-
-    sample_s: float = SAMPLE_S
-    gate_nis: float = 25.0
-    seen_ns: int = 300_000_000
-
-
-ZUPT: Final = ZeroVelocityUpdateSettings()
 
 
 def zero_velocity_update(
@@ -58,9 +38,11 @@ def zero_velocity_update(
     """
     if measured.speed_sigma is None:
         return state
-    sigma = measured.speed_sigma * (ZUPT.sample_s / duration_s) ** 0.5
+    sigma = measured.speed_sigma * (SAMPLE_S / duration_s) ** 0.5
     rolling = measured.rolls_m * angular_rate if measured.rolls_m else None
-    state = model.zero_velocity_update(state, sigma, ZUPT.gate_nis if gated else None, rolling)
+    # Squared normalised innovation (3 degrees of freedom) above which an update is refused while the foot is
+    # seen. A foot that is not seen is always updated: then the filter is wrong, not the detector.
+    state = model.zero_velocity_update(state, sigma, 25.0 if gated else None, rolling)
     if measured.rate is not None:
         state = model.zero_rate_update(state, measured.rate, duration_s)
     return state

@@ -17,29 +17,14 @@ from rhot_feet.imu.conversion import LONGEST_STEP_S, nearest_sample
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocity, ZeroVelocityDetector, ZeroVelocitySettings
 
+_GAP_S: Final = 0.03
+"""Samples farther apart than this have others missing between them."""
+_SPACING_NS: Final = 10_000_000
+"""Of the samples that are filled in while the foot stands."""
+HELD_NS: Final = 30_000_000
+"""The newest sample holds for so long; then nothing is known."""
+
 _GRAVITY: Final = np.array([0.0, 0.0, GRAVITY_M_S2])
-
-
-@dataclass(frozen=True, slots=True)
-class DropoutSettings:
-    """How lost samples are treated; all values were chosen on simulated walks with lost samples (`rhot evaluate feet`).
-
-    Attributes:
-        gap_s: samples farther apart than this have others missing between them.
-        spacing_ns: of the samples that are filled in while the foot stands.
-        same_force_m_s2, same_rotation_rad: a foot that stood before a gap stood throughout when force and orientation
-            have not changed by more than this: no step is over so soon.
-        held_ns: the newest sample holds for so long; then nothing is known.
-    """
-
-    gap_s: float = 0.03
-    spacing_ns: int = 10_000_000
-    same_force_m_s2: float = 0.5
-    same_rotation_rad: float = math.radians(1.5)
-    held_ns: int = 30_000_000
-
-
-DROPOUT: Final = DropoutSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +78,7 @@ class ImuInterval:
 
     def between(self, from_ns: int, to_ns: int) -> InertialStep | None:
         """Return what was measured between two moments; None where the sensor does not say."""
-        if from_ns < self.start_ns or to_ns > self.t_ns + DROPOUT.held_ns:
+        if from_ns < self.start_ns or to_ns > self.t_ns + HELD_NS:
             return None
         if to_ns <= self.t_ns:
             return self.step.part((from_ns - self.start_ns) * 1e-9, (to_ns - self.start_ns) * 1e-9)
@@ -134,7 +119,7 @@ class ImuTrack:
             return None
         h = (t_ns - last[0]) * 1e-9
         zero_velocity = self._detector.add(h, force, rate, R_world @ force - _GRAVITY)
-        step = InertialStep(h, last[1], force, h * rate, h > DROPOUT.gap_s)
+        step = InertialStep(h, last[1], force, h * rate, h > _GAP_S)
         interval = ImuInterval(t_ns, last[0], step, rate, zero_velocity, R_world)
         self._intervals.append(interval)
         while t_ns - self._intervals[0].t_ns > self._kept_ns:
@@ -146,14 +131,16 @@ class ImuTrack:
         before = self._intervals[-1] if self._intervals else None
         if before is None or not before.zero_velocity.still:
             return range(0)
-        if not DROPOUT.gap_s < 1e-9 * (t_ns - before.t_ns) <= LONGEST_STEP_S:
+        if not _GAP_S < 1e-9 * (t_ns - before.t_ns) <= LONGEST_STEP_S:
             return range(0)
         change = force - before.step.force_after
-        if float(change @ change) > DROPOUT.same_force_m_s2**2:
+        # A foot that stood before a gap stood throughout when force and
+        # orientation have not changed by more than this: no step is over so soon.
+        if float(change @ change) > 0.5**2:
             return range(0)
-        if rotation_cosine(R_world, before.R_world) < math.cos(DROPOUT.same_rotation_rad):
+        if rotation_cosine(R_world, before.R_world) < math.cos(math.radians(1.5)):
             return range(0)
-        return range(before.t_ns + DROPOUT.spacing_ns, t_ns - DROPOUT.spacing_ns // 2, DROPOUT.spacing_ns)
+        return range(before.t_ns + _SPACING_NS, t_ns - _SPACING_NS // 2, _SPACING_NS)
 
     def is_silent(self, t_ns: int) -> bool:
         """Return whether the sensor had gone away at a moment."""

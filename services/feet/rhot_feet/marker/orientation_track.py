@@ -22,45 +22,16 @@ from rhot.geometry.rotations import rotation_cosine, rotation_from_vector
 from rhot_feet.imu.conversion import rotation_vectors
 from rhot_feet.marker.pose import MarkerPose
 
-
-@dataclass(frozen=True, slots=True)
-class OrientationTrackSettings:
-    """Motion model and hypotheses; chosen on d435_qualisys, dev trials (`rhot evaluate steps`).
-
-    Attributes:
-        acceleration: root of the spectral density of the angular acceleration, rad/s^1.5: hands and feet.
-        decay_s: time constant of the angular rate.
-        floor_rad: noise that no reprojection error shows: bowed paper, lens, size.
-        most_nis: a squared Mahalanobis distance counts for no more; measurements farther out pull as if this far.
-        most_evidence: log-likelihood that one picture says at most: its corners share their errors.
-        facing_weight, facing_s: log-likelihood lost per second and square radian away from where the marker has looked
-            over this time constant.
-        hypotheses, merge_cosine, drop: how many are kept, which count as alike, and log-likelihood below the best at
-            which one is dropped.
-        longest_gap_s: a longer pause counts as one of this length.
-        first_rate_rad_s: standard deviation of the angular rate of a new marker.
-        steep_rad, steep_margin: tilt against the line of sight from which the corners tell the two poses apart, and the
-            margin from which the likelier one is then believed. Below, only one hypothesis may be left: the errors
-            of corners are the same in picture after picture, so that what they add up to overstates what is known.
-    """
-
-    acceleration: float = 8.0
-    decay_s: float = 0.15
-    floor_rad: float = float(np.radians(2.0))
-    most_nis: float = 24.0
-    most_evidence: float = 3.0
-    facing_weight: float = 60.0
-    facing_s: float = 2.0
-    hypotheses: int = 6
-    merge_cosine: float = float(np.cos(np.radians(4.0)))
-    drop: float = 15.0
-    longest_gap_s: float = 0.5
-    first_rate_rad_s: float = 2.0
-    steep_rad: float = float(np.radians(25.0))
-    steep_margin: float = 10.0
-
-
-SETTINGS: Final = OrientationTrackSettings()
+_MOST_NIS: Final = 24.0
+"""A squared Mahalanobis distance counts for no more; measurements farther out pull as if this far."""
+_LONGEST_GAP_S: Final = 0.5
+"""A longer pause counts as one of this length."""
+_STEEP_RAD: Final = float(np.radians(25.0))
+"""Tilt against the line of sight from which the corners tell the two poses apart, and the margin from which the
+likelier one is then believed. Below, only one hypothesis may be left: the errors of corners are the same in picture
+after picture, so that what they add up to overstates what is known.
+"""
+_STEEP_MARGIN: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +85,8 @@ class OrientationTrack:
         if self._state is None or self.margin == float("inf"):
             return self._state is not None
         towards = -t_camera_marker / max(float(np.linalg.norm(t_camera_marker)), 1e-9)
-        steep = float(self._state.R[0, :, 2] @ towards) <= np.cos(SETTINGS.steep_rad)
-        return steep and self.margin >= SETTINGS.steep_margin
+        steep = float(self._state.R[0, :, 2] @ towards) <= np.cos(_STEEP_RAD)
+        return steep and self.margin >= _STEEP_MARGIN
 
     def update(self, t_s: float, poses: Sequence[MarkerPose]) -> int:
         """Update with the poses of one picture and return the index of the one to believe, see `nearest`.
@@ -125,9 +96,11 @@ class OrientationTrack:
             poses: at least one.
         """
         R = np.stack([pose.R_camera_marker for pose in poses])
-        noise = np.stack([pose.covariance[:3, :3] for pose in poses]) + SETTINGS.floor_rad**2 * np.eye(3)
+        # Noise that no reprojection error shows: bowed paper, lens, size.
+        noise = np.stack([pose.covariance[:3, :3] for pose in poses]) + (float(np.radians(2.0))) ** 2 * np.eye(3)
         costs = np.array([pose.cost for pose in poses])
-        evidence = np.maximum(-0.5 * (costs - costs.min()), -SETTINGS.most_evidence)
+        # Log-likelihood that one picture says at most: its corners share their errors.
+        evidence = np.maximum(-0.5 * (costs - costs.min()), -3.0)
         if self._state is None:
             self._state = _first(t_s, R, noise, evidence)
         else:
@@ -148,17 +121,20 @@ class OrientationTrack:
 def _first(t_s: float, R: FloatArray, noise: FloatArray, evidence: FloatArray) -> _Hypotheses:
     order = np.argsort(-evidence)
     P = np.zeros((len(R), 6, 6))
-    P[:, :3, :3], P[:, 3:, 3:] = noise[order], SETTINGS.first_rate_rad_s**2 * np.eye(3)
+    # Standard deviation of the angular rate of a new marker.
+    P[:, :3, :3], P[:, 3:, 3:] = noise[order], 2.0**2 * np.eye(3)
     weight = evidence[order] - evidence[order[0]]
     return _Hypotheses(t_s, R[order], np.zeros((len(R), 3)), P, weight, R[order][:, :, 2].copy())
 
 
 def _predicted(state: _Hypotheses, t_s: float) -> _Hypotheses:
-    dt = min(t_s - state.t_s, SETTINGS.longest_gap_s)
-    keep = float(np.exp(-dt / SETTINGS.decay_s))
+    dt = min(t_s - state.t_s, _LONGEST_GAP_S)
+    # Time constant of the angular rate.
+    keep = float(np.exp(-dt / 0.15))
     F = np.eye(6)
     F[:3, 3:], F[3:, 3:] = dt * np.eye(3), keep * np.eye(3)
-    q = SETTINGS.acceleration**2
+    # Root of the spectral density of the angular acceleration, rad/s^1.5: hands and feet.
+    q = 8.0**2
     Q = np.kron(np.array([[q * dt**3 / 3.0, q * dt**2 / 2.0], [q * dt**2 / 2.0, q * dt]]), np.eye(3))
     rotated = np.stack([rotation_from_vector(rate * dt) @ R for rate, R in zip(state.rate, state.R, strict=True)])
     return _Hypotheses(t_s, rotated, keep * state.rate, F @ state.P @ F.T + Q, state.weight, state.facing)
@@ -169,17 +145,19 @@ def _updated(
 ) -> _Hypotheses:
     """Return the best of all pairs of a hypothesis and a pose."""
     count, poses = len(state.R), len(R)
-    dt = min(state.t_s - before_s, SETTINGS.longest_gap_s)
+    dt = min(state.t_s - before_s, _LONGEST_GAP_S)
     innovation = rotation_vectors(R[None] @ np.swapaxes(state.R, 1, 2)[:, None])
     S = state.P[:, None, :3, :3] + noise[None]
     inverse = np.linalg.inv(S)
     distance = np.einsum("nmi,nmij,nmj->nm", innovation, inverse, innovation)
     facing = state.facing / np.maximum(np.linalg.norm(state.facing, axis=1, keepdims=True), 1e-9)
     away = np.arccos(np.clip(facing @ R[:, :, 2].T, -1.0, 1.0))
-    likelihood = -0.5 * (np.minimum(distance, SETTINGS.most_nis) + np.log(np.linalg.det(S)))
-    weight = (state.weight[:, None] + likelihood + evidence - SETTINGS.facing_weight * dt * away**2).ravel()
+    likelihood = -0.5 * (np.minimum(distance, _MOST_NIS) + np.log(np.linalg.det(S)))
+    # Log-likelihood lost per second and square radian away from where the marker has
+    # looked over this time constant.
+    weight = (state.weight[:, None] + likelihood + evidence - 60.0 * dt * away**2).ravel()
     gain = state.P[:, None, :, :3] @ inverse
-    pull = np.sqrt(np.minimum(1.0, SETTINGS.most_nis / np.maximum(distance, 1e-12)))
+    pull = np.sqrt(np.minimum(1.0, _MOST_NIS / np.maximum(distance, 1e-12)))
     step = np.einsum("nmij,nmj->nmi", gain, innovation * pull[..., None]).reshape(-1, 6)
     P = (state.P[:, None] - gain @ state.P[:, None, :3, :]).reshape(-1, 6, 6)
     rate = np.repeat(state.rate, poses, axis=0) + step[:, 3:]
@@ -188,13 +166,15 @@ def _updated(
     orientations: list[FloatArray] = []
     best = float(weight.max())
     for index in np.argsort(-weight).tolist():
-        if weight[index] < best - SETTINGS.drop or len(kept) == SETTINGS.hypotheses:
+        # How many are kept, which count as alike, and log-likelihood below
+        # the best at which one is dropped.
+        if weight[index] < best - 15.0 or len(kept) == 6:
             break
         orientation = rotation_from_vector(step[index, :3]) @ state.R[parent[index]]
-        if all(rotation_cosine(orientation, other) < SETTINGS.merge_cosine for other in orientations):
+        if all(rotation_cosine(orientation, other) < (float(np.cos(np.radians(4.0)))) for other in orientations):
             kept.append(index)
             orientations.append(orientation)
     chosen = np.stack(orientations)
-    share = min(1.0, dt / SETTINGS.facing_s)
+    share = min(1.0, dt / 2.0)
     mean = (1.0 - share) * state.facing[parent[kept]] + share * chosen[:, :, 2]
     return _Hypotheses(state.t_s, chosen, rate[kept], P[kept], weight[kept] - best, mean)

@@ -26,6 +26,9 @@ from rhot_feet.marker.pose import MarkerPose, SquareView, marker_poses, pose_cov
 from rhot_feet.marker.pose_choice import OrientationPrior, PoseChoice, choose_pose
 from rhot_feet.prediction import GATE_SIGMAS, OTHER_FOOT, FootPrediction, innovation_distance, predicted_region
 
+_BORDER_PX: Final = 3.0
+"""Smallest distance of a corner from the image border; closer ones cannot be refined."""
+
 # Gates that a detected marker has to pass before it is used.
 #
 # A misread square moves a foot by metres; rejecting a marker only loses one frame.
@@ -33,46 +36,15 @@ from rhot_feet.prediction import GATE_SIGMAS, OTHER_FOOT, FootPrediction, innova
 Refusal = Literal["border", "shape", "size", "depth", "tilt", "floor", "other", "motion", "turn"]
 
 
-@dataclass(frozen=True, slots=True)
-class MarkerGateSettings:
-    """Limits of the gates; chosen on `rhot evaluate feet`, tasks with false markers.
-
-    Attributes:
-        border_px: smallest distance of a corner from the image border; closer ones cannot be refined.
-        most_reprojection: largest reprojection error of the corners, as a share of the side.
-        most_aspect: largest ratio of the longest to the shortest side.
-        depth_share, depth_sigmas: largest difference between the depth image and the distance from the marker's size,
-            as a share of the distance plus a number of standard deviations; a printout at 97 % differs by as much.
-        least_height_m: smallest height above the floor; excludes printed markers that lie on the floor.
-        other_foot_m: smallest distance from the other foot's marker; a closer one is misread, or is on the other foot.
-        most_rotation_rad, rotation_sigmas: a marker is rejected if its orientation differs from the foot's by more than
-            both of these.
-        most_tilt_rad: largest angle between its normal and up.
-    """
-
-    border_px: float = 3.0
-    most_reprojection: float = 0.04
-    most_aspect: float = 5.0
-    depth_share: float = 0.04
-    depth_sigmas: float = 4.0
-    least_height_m: float = 0.025
-    other_foot_m: float = 0.06
-    most_rotation_rad: float = float(np.radians(45.0))
-    rotation_sigmas: float = 5.0
-    most_tilt_rad: float = float(np.radians(100.0))
-
-
-SETTINGS: Final = MarkerGateSettings()
-
-
 def refuse_detection(detection: MarkerDetection, camera: CameraModel) -> Refusal | None:
     """Return why a detection is rejected by its corners alone; None if it is not."""
     corners = detection.corners
-    highest = np.array([camera.width, camera.height]) - 1.0 - SETTINGS.border_px
-    if (corners < SETTINGS.border_px).any() or (corners > highest).any():
+    highest = np.array([camera.width, camera.height]) - 1.0 - _BORDER_PX
+    if (corners < _BORDER_PX).any() or (corners > highest).any():
         return "border"
     sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    return "shape" if sides.max() > SETTINGS.most_aspect * sides.min() else None
+    # Largest ratio of the longest to the shortest side.
+    return "shape" if sides.max() > 5.0 * sides.min() else None
 
 
 def refuse_pose(
@@ -104,10 +76,13 @@ def refuse_pose(
     position = pose.t_camera_marker
     wrong: dict[Refusal, bool] = {
         "size": not depth_range_m[0] <= float(position[2]) <= depth_range_m[1],
-        "shape": view.reprojection_px > max(1.0, SETTINGS.most_reprojection * detection.side_px),
+        # Largest reprojection error of the corners, as a share of the side.
+        "shape": view.reprojection_px > max(1.0, 0.04 * detection.side_px),
         "depth": plane is not None and not _depth_agrees(view, plane),
-        "tilt": up_camera is not None and float(pose.normal @ up_camera) < np.cos(SETTINGS.most_tilt_rad),
-        "floor": floor is not None and float(floor.heights_m(position)) < SETTINGS.least_height_m,
+        # Largest angle between its normal and up.
+        "tilt": up_camera is not None and float(pose.normal @ up_camera) < np.cos(float(np.radians(100.0))),
+        # Smallest height above the floor; excludes printed markers that lie on the floor.
+        "floor": floor is not None and float(floor.heights_m(position)) < 0.025,
         "other": other is not None and _is_nearer(position, other, expected),
         "motion": expected is not None
         and innovation_distance(position, pose.covariance[3:, 3:], expected) > GATE_SIGMAS,
@@ -119,22 +94,26 @@ def refuse_pose(
 def _is_rotated(pose: MarkerPose, prior: OrientationPrior) -> bool:
     turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
     sigmas = math.sqrt(squared_distance(turn, pose.covariance[:3, :3] + prior.covariance))
-    return float(np.linalg.norm(turn)) > SETTINGS.most_rotation_rad and sigmas > SETTINGS.rotation_sigmas
+    # A marker is rejected if its orientation differs from the foot's by more
+    # than both of these.
+    return float(np.linalg.norm(turn)) > (float(np.radians(45.0))) and sigmas > 5.0
 
 
 def _is_nearer(position: FloatArray, other: FootPrediction, own: FootPrediction | None) -> bool:
     """Return whether a position (3,) coincides with the other foot, and is closer to it than to the own foot."""
     to_other = float(np.linalg.norm(position - other.position))
-    return to_other < SETTINGS.other_foot_m and (
-        own is None or to_other < float(np.linalg.norm(position - own.position))
-    )
+    # Smallest distance from the other foot's marker; a closer one is misread, or is on the other foot.
+    return to_other < 0.06 and (own is None or to_other < float(np.linalg.norm(position - own.position)))
 
 
 def _depth_agrees(view: SquareView, plane: DepthPlane) -> bool:
     x, y, z = view.t[0]
     xy = np.array([x / z, y / z])
     sigma = float(np.hypot(np.sqrt(pose_covariance(view)[0, 5, 5]), plane.depth_sigma_m(xy)))
-    return abs(plane.depth_m(xy) - float(z)) <= SETTINGS.depth_sigmas * sigma + SETTINGS.depth_share * float(z)
+    # Largest difference between the depth image and the distance from the marker's
+    # size, as a share of the distance plus a number of standard deviations; a printout at 97 % differs by as
+    # much.
+    return abs(plane.depth_m(xy) - float(z)) <= 4.0 * sigma + 0.04 * float(z)
 
 
 # The marker stage: from a picture to a believed pose per foot.

@@ -32,54 +32,13 @@ from rhot.geometry.transforms import rigid
 from rhot.messages import FootPose, State
 from rhot_ik.legs.leg import Ankle
 
+_RATE: Final = 5.0
+"""Ω, 1/s, and ζ of the pendulum."""
+_LEARNING_TRUST: Final = 0.9
+"""Least trust at which a foot updates the lengths, and counts as measured."""
+
 LEAD_S: Final = 0.06
 """A foot is carried on by its velocity for so long."""
-
-
-@dataclass(frozen=True, slots=True)
-class FootTrackSettings:
-    """How a foot is followed for its leg; values without another source were chosen on simulated walks.
-
-    Attributes:
-        level_gain: weight of each sample of a stand in how the marker sits on the instep.
-        steepest_instep_rad: a foot that stands is tipped by no more than an instep.
-        rate, damping: ω, 1/s, and ζ of the pendulum.
-        pendulum_m: how far off the pendulum is.
-        sure_m: a foot whose position is known this well is trusted entirely.
-        unseen_speed_m_s: how much worse a foot is known per second without a message.
-        regain_s, catch_up_m, catch_up_m_s: trust in a foot that is found again comes back over so long, and no faster
-            than the foot moves there.
-        jump_rad, jump_rad_s: rotation from one sample to the next, plus so much per second, that is no jump.
-        learning_trust, measured_trust: least trust at which a foot updates the lengths, and counts as measured.
-        guessed_ns: a foot that was only guessed for so long is not known: its knee is 170 mm off from then on.
-        levelling_s: time in which an unseen foot becomes level.
-        rate_s: over which a foot's angular rate is averaged.
-        usual_s: over which its usual position under the hips is averaged.
-        longest_step_s: a longer pause counts as one of this length.
-    """
-
-    level_gain: float = 0.03
-    steepest_instep_rad: float = math.acos(0.77)
-    rate: float = 5.0
-    damping: float = 0.6
-    pendulum_m: float = 0.1
-    sure_m: float = 0.03
-    unseen_speed_m_s: float = 1.5
-    regain_s: float = 0.1
-    catch_up_m: float = 0.01
-    catch_up_m_s: float = 6.0
-    jump_rad: float = 0.35
-    jump_rad_s: float = 15.0
-    learning_trust: float = 0.9
-    measured_trust: float = 0.5
-    guessed_ns: int = 200_000_000
-    levelling_s: float = 0.3
-    rate_s: float = 0.04
-    usual_s: float = 2.0
-    longest_step_s: float = 0.1
-
-
-SETTINGS: Final = FootTrackSettings()
 
 
 class SoleLevel:
@@ -101,9 +60,11 @@ class SoleLevel:
             up: (3,) unit vector against gravity, rig frame.
         """
         seen = R_rig_foot.T @ up
-        if seen[1] < math.cos(SETTINGS.steepest_instep_rad):
+        # A foot that stands is tipped by no more than an instep.
+        if seen[1] < math.cos(math.acos(0.77)):
             return
-        self._up = self._up + SETTINGS.level_gain * (seen - self._up)
+        # Weight of each sample of a stand in how the marker sits on the instep.
+        self._up = self._up + 0.03 * (seen - self._up)
         self.R_foot_level = shortest_rotation(np.array([0.0, 1.0, 0.0]), self._up / np.linalg.norm(self._up))
 
 
@@ -173,7 +134,8 @@ class FootTrack:
     @property
     def state(self) -> State | None:
         """Whether the ankle that was last asked for is measured or predicted; None when it is not known."""
-        if self._sample is None or self._trusted_ns is None or self._t_ns - self._trusted_ns > SETTINGS.guessed_ns:
+        # A foot that was only guessed for so long is not known: its knee is 170 mm off from then on.
+        if self._sample is None or self._trusted_ns is None or self._t_ns - self._trusted_ns > 200_000_000:
             return None
         return self._sample.state if self._trusted_ns == self._t_ns else "predicted"
 
@@ -184,7 +146,7 @@ class FootTrack:
             self._sample is not None
             and self._sample.stands
             and self._last is not None
-            and self._last.trust > SETTINGS.learning_trust
+            and self._last.trust > _LEARNING_TRUST
         )
 
     def at(self, t_ns: int, hip_motion: HipMotion | None, higher_m: float = 0.0) -> Ankle | None:
@@ -199,32 +161,36 @@ class FootTrack:
             return None
         sample, age_s = self._sample, 1e-9 * (t_ns - self._sample.t_ns)
         seen = sample.position + min(age_s, LEAD_S) * sample.velocity + higher_m * sample.R[:, 1]
-        doubt_m = max(sample.sigma_m - SETTINGS.sure_m, 0.0) + SETTINGS.unseen_speed_m_s * max(age_s, 0.0)
-        trust = 1.0 / (1.0 + (doubt_m / SETTINGS.pendulum_m) ** 4)
+        # A foot whose position is known this well is trusted entirely.
+        # How much worse a foot is known per second without a message.
+        doubt_m = max(sample.sigma_m - 0.03, 0.0) + 1.5 * max(age_s, 0.0)
+        # How far off the pendulum is.
+        trust = 1.0 / (1.0 + (doubt_m / 0.1) ** 4)
         if self._last is None or hip_motion is None:
             ankle, velocity = Ankle(rigid(sample.R, seen), trust), sample.velocity
         else:
-            elapsed_s = min(max(1e-9 * (t_ns - self._t_ns), 0.0), SETTINGS.longest_step_s)
+            # A longer pause counts as one of this length.
+            elapsed_s = min(max(1e-9 * (t_ns - self._t_ns), 0.0), 0.1)
             position, velocity = self._pendulum(self._last.position, hip_motion, elapsed_s)
-            catch_up_m = SETTINGS.catch_up_m + SETTINGS.catch_up_m_s * elapsed_s
+            catch_up_m = 0.01 + 6.0 * elapsed_s
             reached = catch_up_m / max(float(np.linalg.norm(seen - position)), catch_up_m)
-            trust = min(trust, self._last.trust + elapsed_s / SETTINGS.regain_s, reached)
+            # Trust in a foot that is found again comes back over so
+            # long, and no faster than the foot moves there.
+            trust = min(trust, self._last.trust + elapsed_s / 0.1, reached)
             R = self._levelled(self._last.T_rig_ankle[:3, :3], hip_motion.T_rig_hips[:3, :3], elapsed_s)
             R = orthonormal(rotation_from_vector(trust * rotation_between(R, sample.R)) @ R)
             ankle = Ankle(rigid(R, position + trust * (seen - position)), trust)
             velocity = velocity + trust * (sample.velocity - velocity)
             self._update_usual(ankle, hip_motion, elapsed_s)
         self._last, self._velocity, self._t_ns = ankle, velocity, t_ns
-        if ankle.trust >= SETTINGS.measured_trust:
+        if ankle.trust >= 0.5:
             self._trusted_ns = t_ns
         return ankle
 
     def _pendulum(self, position: FloatArray, hip_motion: HipMotion, elapsed_s: float) -> tuple[FloatArray, FloatArray]:
         """Return position and velocity (3,) of the pendulum a little later; it does not swing through the floor."""
         usual = hip_motion.T_rig_hips[:3, :3] @ self._usual_m + hip_motion.T_rig_hips[:3, 3]
-        pull = SETTINGS.rate**2 * (usual - position) - 2.0 * SETTINGS.damping * SETTINGS.rate * (
-            self._velocity - hip_motion.velocity
-        )
+        pull = _RATE**2 * (usual - position) - 2.0 * 0.6 * _RATE * (self._velocity - hip_motion.velocity)
         velocity = self._velocity + elapsed_s * pull
         position = position + elapsed_s * velocity
         under_m = self._floor_m - float(position @ self._up)
@@ -235,15 +201,17 @@ class FootTrack:
 
     def _levelled(self, R: FloatArray, R_rig_hips: FloatArray, elapsed_s: float) -> FloatArray:
         """Return a foot's rotation a little later: an unseen foot becomes level and points straight ahead."""
-        share = -math.expm1(-elapsed_s / SETTINGS.levelling_s)
+        # Time in which an unseen foot becomes level.
+        share = -math.expm1(-elapsed_s / 0.3)
         return rotation_from_vector(share * rotation_between(R, R_rig_hips)) @ R
 
     def _update_usual(self, ankle: Ankle, hip_motion: HipMotion, elapsed_s: float) -> None:
-        if ankle.trust < SETTINGS.learning_trust:
+        if ankle.trust < _LEARNING_TRUST:
             return
         hips = hip_motion.T_rig_hips
         position = hips[:3, :3].T @ (ankle.T_rig_ankle[:3, 3] - hips[:3, 3])
-        self._usual_m += -math.expm1(-elapsed_s / SETTINGS.usual_s) * (position - self._usual_m)
+        # Over which its usual position under the hips is averaged.
+        self._usual_m += -math.expm1(-elapsed_s / 2.0) * (position - self._usual_m)
 
 
 def _rate(before: _Sample, t_ns: int, R: FloatArray) -> FloatArray:
@@ -252,7 +220,8 @@ def _rate(before: _Sample, t_ns: int, R: FloatArray) -> FloatArray:
     if not 0.0 < elapsed_s < LEAD_S:
         return np.zeros(3)
     measured = rotation_between(before.R, R) / elapsed_s
-    rate: FloatArray = before.rate - math.expm1(-elapsed_s / SETTINGS.rate_s) * (measured - before.rate)
+    # Over which a foot's angular rate is averaged.
+    rate: FloatArray = before.rate - math.expm1(-elapsed_s / 0.04) * (measured - before.rate)
     return rate
 
 
@@ -260,5 +229,7 @@ def _jumps(before: _Sample, after: _Sample) -> bool:
     """Return whether a foot's rotation jumps."""
     elapsed_s = max(1e-9 * (after.t_ns - before.t_ns), 0.0)
     return (
-        float(np.linalg.norm(rotation_between(before.R, after.R))) > SETTINGS.jump_rad + SETTINGS.jump_rad_s * elapsed_s
+        # Rotation from one sample to the next, plus so much per second, that is no
+        # jump.
+        float(np.linalg.norm(rotation_between(before.R, after.R))) > 0.35 + 15.0 * elapsed_s
     )

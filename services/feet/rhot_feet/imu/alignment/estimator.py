@@ -30,9 +30,16 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_feet.imu.alignment.equations import PRIOR, SETTINGS, UNKNOWNS, Alignment, AlignmentEquations
+from rhot_feet.imu.alignment.equations import PRIOR, UNKNOWNS, Alignment, AlignmentEquations
 from rhot_feet.imu.conversion import LONGEST_STEP_S, nearest_sample
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
+
+_STRETCH_NS: Final = 500_000_000
+"""Length of a stretch, and fewest positions in it."""
+_SIGHTINGS: Final = 3
+"""Of the marker, fewest on each side of a step."""
+_SOLVE_EVERY: Final = 3
+"""Sightings between two attempts to solve."""
 
 # Steps of a foot from one stand-still to the next, as its sensor measured them and as pictures show their ends.
 #
@@ -89,7 +96,8 @@ class StepTracker:
     """Follows one sensor from stand-still to stand-still."""
 
     def __init__(self) -> None:
-        self._stands: deque[_Stand] = deque(maxlen=SETTINGS.kept_stands)
+        # Stand-stills that are remembered.
+        self._stands: deque[_Stand] = deque(maxlen=12)
         self.reset()
 
     def reset(self) -> None:
@@ -126,10 +134,11 @@ class StepTracker:
             self._way += h * self._speed + (0.5 * h * h) * mean
             self._speed += h * mean
             self._duration_s += h
-            self._whole &= h <= SETTINGS.gap_s
+            # Samples farther apart have others missing between them; the foot swings on meanwhile.
+            self._whole &= h <= 0.035
         if stands:
             way = self._way - (0.5 * self._duration_s) * self._speed
-            whole = self._whole and 0.0 < self._duration_s <= SETTINGS.longest_step_s
+            whole = self._whole and 0.0 < self._duration_s <= 1.5
             self._stands.append(_Stand(t_ns, t_ns, R, way[:, 0], way[:, 1:], whole, np.zeros(3)))
             self._set_off()
 
@@ -140,7 +149,7 @@ class StepTracker:
             return None
         stand = self._stands[index]
         stand.total, stand.count = stand.total + position, stand.count + 1
-        if stand.used or stand.count < SETTINGS.sightings:
+        if stand.used or stand.count < _SIGHTINGS:
             return None
         imu_m, d_bias = np.zeros(3), np.zeros((3, 3))
         for k in range(index, 0, -1):
@@ -148,7 +157,7 @@ class StepTracker:
                 return None
             imu_m, d_bias = imu_m + self._stands[k].imu_m, d_bias + self._stands[k].d_bias
             start = self._stands[k - 1]
-            if start.count >= SETTINGS.sightings:
+            if start.count >= _SIGHTINGS:
                 stand.used = True
                 return Step(stand.position - start.position, imu_m, d_bias, stand.R - start.R)
         return None
@@ -197,7 +206,7 @@ class AlignmentEstimator:
         Args:
             at_once: the newest sightings have to be in it, though solving takes its time.
         """
-        if self._unsolved >= (1 if at_once else SETTINGS.solve_every):
+        if self._unsolved >= (1 if at_once else _SOLVE_EVERY):
             self._alignment, self._unsolved = self._equations.solve() or self._alignment, 0
         return self._alignment
 
@@ -217,7 +226,7 @@ class AlignmentEstimator:
             self._steps.add_sample(t_ns, force, R, stands=still)
             if still:
                 self._stood_ns = t_ns
-        while self._samples and self._samples[-1][0] - self._samples[0][0] > 4 * SETTINGS.stretch_ns:
+        while self._samples and self._samples[-1][0] - self._samples[0][0] > 4 * _STRETCH_NS:
             self._samples.popleft()
 
     def add_marker(
@@ -225,7 +234,7 @@ class AlignmentEstimator:
     ) -> None:
         """Add an accepted position (3,) and R_rig_foot (3, 3) of the marker, each with its noise per axis."""
         first_ns = self._sightings[0].t_ns if self._sightings else t_ns
-        if self._sightings and (t_ns <= self._sightings[-1].t_ns or t_ns - first_ns > 2 * SETTINGS.stretch_ns):
+        if self._sightings and (t_ns <= self._sightings[-1].t_ns or t_ns - first_ns > 2 * _STRETCH_NS):
             self._sightings.clear()
             first_ns = t_ns
         self._sightings.append(_Sighting(t_ns, position, sigma_m))
@@ -234,7 +243,7 @@ class AlignmentEstimator:
         step = self._steps.add_marker(t_ns, position @ self._C)
         if step is not None:
             self._add_step(step, sigma_m)
-        if t_ns - first_ns >= SETTINGS.stretch_ns:
+        if t_ns - first_ns >= _STRETCH_NS:
             stretch, self._sightings = self._sightings, []
             self._add_stretch(stretch)
 
@@ -243,7 +252,9 @@ class AlignmentEstimator:
         nearest = nearest_sample(self._samples, t_ns, itemgetter(0))
         if nearest is None:
             return
-        leans_rad = min(SETTINGS.lean_rad_s * 1e-9 * max(t_ns - self._stood_ns, 0), SETTINGS.lean_rad)
+        # A sensor mistakes acceleration for tilt: how fast its orientation goes wrong
+        # since it stood, and by how much at most (a BNO080 promises 3.5 degrees in motion).
+        leans_rad = min(math.radians(10.0) * 1e-9 * max(t_ns - self._stood_ns, 0), math.radians(4.0))
         sigma_rad = math.hypot(sigma_rad, leans_rad)
         self._equations.add_orientation(t_ns, nearest[2], self._C.T @ rotation, sigma_rad)
         self._unsolved += 1
@@ -252,33 +263,45 @@ class AlignmentEstimator:
         """Add a step."""
         x, y, z = step.marker_m.tolist()
         length_m = math.hypot(x, y)
-        room_m = SETTINGS.false_step_m + SETTINGS.false_step_share * length_m
+        # A step that differs by more between pictures and sensor holds a
+        # false marker.
+        room_m = 0.06 + 0.15 * length_m
         imu_m = math.hypot(step.imu_m[0], step.imu_m[1])
-        if length_m < SETTINGS.shortest_step_m or abs(length_m - imu_m) > room_m or abs(z - step.imu_m[2]) > room_m:
+        # Shortest and longest step that is used; after longer the sensor alone has lost
+        # its way.
+        if length_m < 0.12 or abs(length_m - imu_m) > room_m or abs(z - step.imu_m[2]) > room_m:
             return
         rows, values = np.zeros((3, UNKNOWNS)), step.imu_m.copy()
         rows[:2, :2] = (x, y), (y, -x)
         rows[:, 2:5], rows[:, 5:] = -step.rotation_change, step.d_bias
         values[2] -= z
         self._equations.add_positions(
-            rows, values, math.hypot(SETTINGS.step_m + SETTINGS.step_share * length_m, sigma_m)
+            # Error of a step by the sensor, per axis: so much, and this share of its
+            # length on top.
+            rows,
+            values,
+            math.hypot(0.02 + 0.03 * length_m, sigma_m),
         )
-        self._unsolved = SETTINGS.solve_every
+        self._unsolved = _SOLVE_EVERY
 
     def _add_stretch(self, stretch: list[_Sighting]) -> None:
         """Add the positions of a stretch."""
-        path = self._path(stretch) if len(stretch) >= SETTINGS.stretch_positions else None
+        path = self._path(stretch) if len(stretch) >= 12 else None
         if path is None:
             return
         rows, values = path
-        sigma = math.hypot(SETTINGS.model_m, float(np.mean([sighting.sigma_m for sighting in stretch])))
-        if math.sqrt(float(np.mean(rows[:, 0] ** 2))) < SETTINGS.moved_sigmas * sigma / math.sqrt(3.0):
+        # What the model leaves unexplained of a position in a stretch, per axis, on top of its own noise.
+        sigma = math.hypot(0.004, float(np.mean([sighting.sigma_m for sighting in stretch])))
+        # A stretch counts when the marker strays this many standard deviations, root mean square, from a
+        # straight line.
+        if math.sqrt(float(np.mean(rows[:, 0] ** 2))) < 6.0 * sigma / math.sqrt(3.0):
             return
         information, moment = rows.T @ rows / sigma**2, rows.T @ values / sigma**2
         alone = np.linalg.solve(information + PRIOR, moment)
-        if math.sqrt(float(np.mean((values - rows @ alone) ** 2))) <= SETTINGS.worst_fit_m:
+        # A stretch that no yaw explains better than this, root mean square, holds a false marker.
+        if math.sqrt(float(np.mean((values - rows @ alone) ** 2))) <= 0.03:
             self._equations.add_positions(rows, values, sigma)
-            self._unsolved = SETTINGS.solve_every
+            self._unsolved = _SOLVE_EVERY
 
     def _path(self, stretch: list[_Sighting]) -> tuple[FloatArray, FloatArray] | None:
         """Return the rows (3n, 8) and values (3n,) of the least squares."""
