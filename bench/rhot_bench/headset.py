@@ -30,8 +30,6 @@ MOST_ROTATION_DEG: Final = 0.1
 MOST_FOOT_MM: Final = 3.0
 """A camera must add less than the head's pose jitters by, and a thesis's marker stood within (docs/feet.md)."""
 _RATE_HZ: Final = 10.0
-_FROM_S: Final = 0.7
-_HEAD_AHEAD_S: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +66,16 @@ def _calibrated(folder: Path, seed: int, seconds: float) -> _Found:
     feet = world.feet_config
     camera = pinhole(feet.camera.width, feet.camera.height, world.intrinsics, np.empty(0))
     collector, heads = ViewCollector(feet), Heads(world, seed)
-    for index in range(round(_FROM_S * _RATE_HZ), round(seconds * _RATE_HZ)):
+    from_s = 0.7
+    for index in range(round(from_s * _RATE_HZ), round(seconds * _RATE_HZ)):
         if world.timing(index).dropped:
             continue
         t_s, color, _ = world.frame(index)
         coded = cv2.imdecode(np.frombuffer(jpeg_of(color), np.uint8), cv2.IMREAD_COLOR)
         found = collector.find(np.asarray(coded, np.uint8))
         collector.add_picture(START_NS + round(1e9 * t_s), found, camera)
-        for pose in heads.until(t_s + _HEAD_AHEAD_S):
+        head_ahead_s = 0.05
+        for pose in heads.until(t_s + head_ahead_s):
             collector.add_head(pose)
     fit = judged(rig, collector, feet.marker_size_m).fit
     angle_rad, distance_m = mounting_error(fit.T_head_camera, world.T_head_camera)

@@ -25,7 +25,6 @@ from rhot_tools.measures.rows import Row, Section, check_output
 from rhot_tools.measures.streams import Stream, lateral_delay, measured_glitches, rest_noise_m, step_p99_m
 
 _STEP_MM: Final = {"hand_recovered": 40.0, "hand_as_sent": 60.0}
-_GLITCH_BITS: Final = 2 | 8
 _RATE_HZ: Final = 30.0
 
 
@@ -161,7 +160,8 @@ def _glitches(masks: Path, recording: Recording, rig: Rig, count: int) -> NDArra
         if name in table:
             for frame, bits in zip(table["frame"].astype(int).tolist(), table[name].astype(int).tolist(), strict=True):
                 if frame in row_of:
-                    glitch[row_of[frame], column] = bool(bits & _GLITCH_BITS)
+                    glitch_bits = 2 | 8
+                    glitch[row_of[frame], column] = bool(bits & glitch_bits)
     return glitch
 
 

@@ -28,7 +28,6 @@ R_FOOT_MARKER.setflags(write=False)
 
 _OWN_NAME: Final = "3X3_32"
 _OWN_BITS: Final = 3
-_OWN_COUNT: Final = 32
 
 
 def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
@@ -84,7 +83,8 @@ def _own_patterns() -> tuple[Bits, ...]:
     # Nearly black and nearly white patterns look like shadows and like paper.
     distances[np.abs(patterns.sum(axis=(1, 2)) - 4.5) > 2.0] = 0
     chosen: list[int] = []
-    for _ in range(_OWN_COUNT):
+    own_count = 32
+    for _ in range(own_count):
         chosen.append(int(np.argmax(distances)))
         to_newest = (patterns[:, None] != rotated[chosen[-1]]).sum(axis=(2, 3)).min(axis=1)
         distances = np.minimum(distances, to_newest)

@@ -31,7 +31,6 @@ _DRIFT_STEP: Final = 4e-6
 _DRIFTS: Final = np.arange(-MAX_DRIFT, MAX_DRIFT + 0.5 * _DRIFT_STEP, _DRIFT_STEP)
 _FIT_SPAN_NS: Final = 10_000_000_000
 """A drift is fitted only over at least this long; over less it would be noise."""
-_STEP_MARGIN_NS: Final = 1_000_000
 
 
 class NodeClock(Protocol):
@@ -182,7 +181,8 @@ class ClockEstimator:
             return False
         if self.ready:
             distance = abs(exchange.offset_ns - self.offset_at(exchange.mid_ns))
-            allowed = exchange.round_trip_ns / 2 + self.uncertainty_at(exchange.mid_ns) + _STEP_MARGIN_NS
+            step_margin_ns = 1_000_000
+            allowed = exchange.round_trip_ns / 2 + self.uncertainty_at(exchange.mid_ns) + step_margin_ns
             if distance > allowed:
                 self.reset()
                 self.steps += 1

@@ -7,7 +7,6 @@ import time
 from typing import Final
 
 INTERVAL_S: Final = 5.0
-_MOST_TOPICS: Final = 64
 
 
 class SparingLog:
@@ -24,7 +23,8 @@ class SparingLog:
         now = time.monotonic()
         with self._lock:
             # Topics are keys, which an outsider may choose: the table must not grow with them.
-            if topic not in self._logged_at and len(self._logged_at) >= _MOST_TOPICS:
+            most_topics = 64
+            if topic not in self._logged_at and len(self._logged_at) >= most_topics:
                 topic = "…"
             last = self._logged_at.get(topic)
             if last is not None and now - last < self._interval_s:

@@ -19,10 +19,7 @@ from rhot.rig import HandFile
 
 BENT_RAD: Final = np.radians(10.0)
 """Each hinge of the start of plain FABRIK."""
-_MOVES_M: Final = 0.002
-_LYING: Final = 0.3
 _FEW: Final = 5
-_HALF_WRIST_M: Final = 0.02
 
 
 def palm_rotations(wrists: FloatArray, chains: FloatArray, knuckles: FloatArray) -> FloatArray:
@@ -57,7 +54,8 @@ def fit_person(wrists: FloatArray, chains: FloatArray, side: Side) -> HandModel:
         knuckles = np.median((chains[:, :, 0] - wrists[:, None]) @ R, axis=0)
     bones = np.median(np.linalg.norm(np.diff(chains, axis=2), axis=-1), axis=0)
     thumb = (chains[:, 0, :2] - wrists[:, None]) @ palm_rotations(wrists, chains, knuckles)
-    if thumb[:, 0].std(axis=0).max() > _MOVES_M:
+    moves_m = 0.002
+    if thumb[:, 0].std(axis=0).max() > moves_m:
         knuckles[0], bones[0, 0] = _turning_point(thumb[:, 1])
     metacarpals = model.metacarpals.copy()
     metacarpals[0] = knuckles[0]
@@ -76,7 +74,8 @@ def fit_spread(model: HandModel, chains: FloatArray) -> HandModel:
     low, high = model.angle_min.copy(), model.angle_max.copy()
     for finger, frame in enumerate(model.frames):
         first = (chains[:, finger, 1] - chains[:, finger, 0]) @ frame
-        first = first[-first[:, 2] > _LYING * model.bones[finger, 0]]
+        lying = 0.3
+        first = first[-first[:, 2] > lying * model.bones[finger, 0]]
         if len(first) > _FEW:
             abduction = model.handedness * np.arctan2(-first[:, 0], -first[:, 2])
             least, most = np.percentile(abduction, (2.0, 98.0))
@@ -164,7 +163,8 @@ def plain_hand(model: HandModel, wrist: FloatArray, tips: FloatArray, across: Fl
     lengths = np.column_stack([np.linalg.norm(model.knuckles, axis=1), model.bones])
     scatter = (tips - wrist).T @ start[:, -1]
     if across is not None:
-        scatter[:, 0] += 2.0 * _HALF_WRIST_M**2 * across
+        half_wrist_m = 0.02
+        scatter[:, 0] += 2.0 * half_wrist_m**2 * across
     R = nearest_rotation(scatter)
     return plain_fabrik(np.tile(wrist, (5, 1)), tips, lengths, start @ R.T + wrist)[:, 1:]
 

@@ -26,8 +26,6 @@ PREFIXES: Final = "TIMRP"
 _FIXED_METACARPALS: Final = (1, 2)
 _WORTH: Final = 100
 """Frames follow one another closely: all together they count as this many."""
-_SPHERE_SIGMA_M: Final = 0.002
-_EXPECTED_SIGMA_M: Final = 0.010
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,8 +178,10 @@ def _turned_about(points: FloatArray, knuckle: FloatArray, bone_m: float) -> tup
 
     def off(place: FloatArray) -> FloatArray:
         reach = np.linalg.norm(points - place[:3], axis=1) - place[3]
-        worth = np.sqrt(_WORTH / len(points)) / _SPHERE_SIGMA_M
-        return np.concatenate([worth * reach, (place - expected) / _EXPECTED_SIGMA_M])
+        sphere_sigma_m = 0.002
+        worth = np.sqrt(_WORTH / len(points)) / sphere_sigma_m
+        expected_sigma_m = 0.010
+        return np.concatenate([worth * reach, (place - expected) / expected_sigma_m])
 
     found = least_squares(off, expected).x
     return found[:3], float(found[3])

@@ -21,7 +21,6 @@ from rhot_sim.world.world import World
 START_NS: Final = 1_700_000_000_000_000_000
 """Rig time of the world's time 0 in generated point sets."""
 ANGLES: Final = ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
-_MOST_HIDDEN: Final = 2
 _GAP_S: Final = 0.05
 
 
@@ -92,7 +91,8 @@ def hand_figures(run: HandRun, model: HandModel, settle_s: float = 0.5) -> HandF
     late = run.t_s >= run.t_s[:1].sum() + settle_s
     error = np.linalg.norm(run.positions - run.true_positions, axis=-1) * 1e3
     hidden = 5 - run.measured.sum(axis=1)
-    full, partly = late & (hidden == 0), late & (hidden > 0) & (hidden <= _MOST_HIDDEN)
+    most_hidden = 2
+    full, partly = late & (hidden == 0), late & (hidden > 0) & (hidden <= most_hidden)
     wrong_deg = np.degrees(run.angles - run.true_angles)
     longer, off = (steps[late[1:]] * 1e3 for steps in excess_steps_m(run))
     excess = np.maximum(model.angle_min - run.angles, run.angles - model.angle_max)

@@ -23,8 +23,6 @@ _OFFSET_ROUNDS: Final = 4
 _FEW: Final = 10
 _BACK_S: Final = 0.1
 """A step counts as one of re-appearance within this time of the first view."""
-_NEXT_S: Final = 0.1
-"""Poses further apart than this are no neighbours: the hand was not told of in between."""
 _TIPS: Final = tuple(JOINTS.index(f"{finger}_tip") for finger in FINGERS)
 
 
@@ -213,7 +211,8 @@ def _steps(t_ns: IntArray, found: FloatArray, true: FloatArray, hidden_s: FloatA
     steps = np.full(found.shape[:2], np.nan)
     if len(t_ns) < 2:
         return steps
-    near = np.diff(t_ns) <= _NEXT_S * 1e9
+    # Poses further apart than this are no neighbours: the hand was not told of in between.
+    near = np.diff(t_ns) <= 0.1 * 1e9
     beyond = np.linalg.norm(np.diff(found, axis=0), axis=2) - np.linalg.norm(np.diff(true, axis=0), axis=2)
     for tip in range(found.shape[1]):
         back = np.flatnonzero((hidden_s[1:, tip] == 0.0) & (hidden_s[:-1, tip] > 0.0)) + 1

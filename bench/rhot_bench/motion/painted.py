@@ -21,8 +21,6 @@ _BALL: Final = 4
 _CONE: Final = 3
 _LIFT_M: Final = 0.0015
 """Rays start this far off the skin, so that neighbouring bones that meet in a joint do not hide one another's skin."""
-_FACING: Final = 0.08
-"""Least cosine to the camera: paint seen flatter than 5° is lost at the rim of the blob."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +160,8 @@ def seen_samples(
     distance = np.linalg.norm(away, axis=-1, keepdims=True)
     away /= distance
     cosine = np.einsum("nsi,nsi->ns", normals, away)
-    cosine = np.where(cosine > _FACING, cosine, 0.0)
+    # Least cosine to the camera: paint seen flatter than 5° is lost at the rim of the blob.
+    cosine = np.where(cosine > 0.08, cosine, 0.0)
     # The patch lies on the metacarpals: they never hide it, whatever their radius.
     palm = slice(15, 19)
     hides = capsules.finger != finger if finger >= 0 else np.ones(len(capsules.radius), dtype=bool)

@@ -29,8 +29,6 @@ _LEAST_S: Final = 0.7
 """The shortest recording of FPHA lasts 0.83 s; the low-pass needs half a second."""
 _FREE_HANDED: Final = ("high_five", "flip_pages")
 """FPHA actions in which the hand closes round nothing."""
-_LIFT: Final = 0.3
-"""Weight of the back's direction in where an outer hinge lies; it decides only when the finger is straight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +127,9 @@ def _nyu_made_whole(path: Path) -> Recorded:
         reach = np.clip(reach, abs(middle - outer) + 1e-4, middle + outer - 1e-4)
         ahead = (middle**2 - outer**2 + reach**2) / (2.0 * reach)
         first = (hinge - knuckle) / np.linalg.norm(hinge - knuckle, axis=1, keepdims=True)
-        up = first + _LIFT * back
+        # Weight of the back's direction in where an outer hinge lies; it decides only when the finger is
+        # straight.
+        up = first + 0.3 * back
         up -= along * (up * along).sum(axis=1, keepdims=True)
         up /= np.linalg.norm(up, axis=1, keepdims=True)
         chains[:, finger, 2] = hinge + ahead * along + np.sqrt(np.maximum(middle**2 - ahead**2, 0.0)) * up

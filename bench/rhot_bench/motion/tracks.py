@@ -33,8 +33,6 @@ from rhot_bench.motion.truth import MARKERS, START_NS, Truth, marker_frames_of
 _DIRECTIONS: Final = 16
 _OUTSIDE_PX: Final = 3.5
 """Capture's ring is 2.5 to 4.5 pixels outside of the paint."""
-_FLESH: Final = 19
-"""`Flesh.capsules` begins with fifteen bones of fingers and four of the palm; what is held comes after."""
 _SPACING_M: Final = 0.001
 """The paint reaches about so much further than the middle of its outermost sample."""
 
@@ -82,7 +80,9 @@ def _sees_skin(eye: FloatArray, rays: FloatArray, capsules: Capsules, caps: Sequ
         met_m = np.where(apart2 < radius**2, ahead - np.sqrt(np.maximum(radius**2 - apart2, 0.0)), np.inf)
         first = met_m < first_m
         first_m = np.where(first, met_m, first_m)
-        is_skin = np.full(first.shape, number < _FLESH)
+        # `Flesh.capsules` begins with fifteen bones of fingers and four of the palm; what is held comes
+        # after.
+        is_skin = np.full(first.shape, number < 19)
         finger = int(capsules.finger[number])
         if finger >= 0:
             # The capsule ends one radius before the very tip, from where the paint's length counts.
@@ -98,10 +98,6 @@ MarkerKind = Literal["caps", "points"]
 
 _LEAST_SHARE: Final = 0.08
 """Share of its facing paint below which a marker is no blob of its own colour; capture's size gate acts beside it."""
-_CORNER_TIMES: Final = 2.0
-"""Corners of the patch are found this much less surely than a centroid; measured on G1: 0.2 px beside 0.1."""
-_WHOLE_SHARE: Final = 0.97
-"""Share of its paint from which capture tells the corners of a patch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +217,8 @@ def _marker_views(
             skin_side = skin_sides(camera, uv, every, depth, shown, capsules, surfaces[: len(FINGERS)])
     # Drawn for every marker, so that no clip depends on which one is the patch.
     noise = rng.normal(0.0, draw.noise_px, (count, 2))
-    corner_noise = rng.normal(0.0, _CORNER_TIMES * draw.noise_px, (count, 4, 2))
+    # Corners of the patch are found this much less surely than a centroid; measured on G1: 0.2 px beside 0.1.
+    corner_noise = rng.normal(0.0, 2.0 * draw.noise_px, (count, 4, 2))
     if is_patch:
         true_corners = camera.project(_patch_corners(surface, origin, R).reshape(-1, 3)).reshape(count, 4, 2)
         corners = true_corners + corner_noise
@@ -237,7 +234,8 @@ def _published(views: _MarkerViews, frame: int, camera: CameraModel, *, rolling:
     fields["t_ns"] = int(views.t_ns[frame]) if rolling else None
     if views.skin_side is not None:
         fields["skin_side"] = tuple(views.skin_side[frame].tolist())
-    if views.corners is not None and share > _WHOLE_SHARE and camera.contains(views.corners[frame]).all():
+    # Share of its paint from which capture tells the corners of a patch.
+    if views.corners is not None and share > 0.97 and camera.contains(views.corners[frame]).all():
         fields["corners"] = tuple(map(tuple, _clockwise(views.corners[frame]).tolist()))
     return fields
 
@@ -279,7 +277,6 @@ def _clockwise(corners: FloatArray) -> FloatArray:
 
 _FLESH_MM: Final = ((9.5, 9.5, 8.8), (9.5, 8.5, 7.6), (9.5, 8.6, 7.8), (9.0, 8.0, 7.3), (8.0, 7.2, 6.6))
 """Radii of the moving bones of a hand of 185 mm, thumb first; the means of `rhot.hand_anatomy.RADII_MM` along each."""
-_HAND_M: Final = 0.185
 
 
 def draw_clip(rng: np.random.Generator, data: Path, seconds: float, draw: RigDraw) -> tuple[HandMotion, str, bool]:
@@ -307,7 +304,8 @@ def draw_hand(
     rng: np.random.Generator, motion: HandMotion, grasps: bool
 ) -> tuple[Flesh, list[Surface], HandFile, tuple[float, float]]:
     """Return flesh, paint and patch of a hand, and what two measures by a ruler tell of it."""
-    scale = motion.length_m / _HAND_M * float(rng.uniform(0.92, 1.12))
+    hand_m = 0.185
+    scale = motion.length_m / hand_m * float(rng.uniform(0.92, 1.12))
     bones_m = np.minimum(1e-3 * scale * np.array(_FLESH_MM), 0.45 * motion.bones[:, 2:])
     bones_m[:, 2] = np.minimum(bones_m[:, 2], bones_m[:, 1])
     tips = bones_m[:, 2]

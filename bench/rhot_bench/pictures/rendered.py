@@ -44,8 +44,6 @@ _PARTS: Final = (
 MARKER_FRAMES: Final = "{sequence}.jsonl"
 
 
-_WIDTH_OF_LENGTH: Final = 74.0 / 172.0
-"""Width of a hand by its length where nobody measured it: what a ruler gave of the first set's hand."""
 _BOARD: Final = "9x6 inner corners, 25.0 mm"
 
 
@@ -96,7 +94,8 @@ class Measures:
             board = int(columns), int(rows)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ConfigError(f"{board_path}: does not name its pattern as `{_BOARD}`") from error
-        width_m = 1e-3 * round(1e3 * _WIDTH_OF_LENGTH * length_m) if width_m is None else width_m
+        # Width of a hand by its length where nobody measured it: what a ruler gave of the first set's hand.
+        width_m = 1e-3 * round(1e3 * (74.0 / 172.0) * length_m) if width_m is None else width_m
         return cls(length_m, width_m, (across, along), board, 1e-3 * float(square_mm), side)
 
 

@@ -49,10 +49,6 @@ _FLAGS: Final = (
 )
 _MOST_MS: Final = 4.0
 """Beside one picture's time."""
-_MOST_FEWER: Final = 20.0
-_MOST_LATER: Final = 10.0
-_SMOOTH_HZ: Final = 24.0
-_BUSY_SHARE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,20 +113,24 @@ def page_rows(turns: Sequence[Turn], rate_hz: float) -> tuple[Row, ...]:
     clock_ms = _median([status.figures.get("clock_ms", float("nan")) for status in shown])
     drawn = "by a graphics card" if card else "by the processor: there is no graphics card"
     busy = ""
-    if not without[0] >= _BUSY_SHARE * rate_hz:
+    busy_share = 0.5
+    if not without[0] >= busy_share * rate_hz:
         busy = (
             f"not judged: the tracker alone did not keep up with its cameras ({rate_hz:g} Hz), others use this machine"
         )
         fewer = later = p99 = float("nan")
     one = f"one picture is {1e3 / pictures_hz:.1f} ms; the page's clock is known to {clock_ms:.1f} ms"
+    most_fewer = 20.0
+    most_later = 10.0
+    smooth_hz = 24.0
     return (
         Row("poses per second, no page open", without[0], "Hz"),
         Row(f"poses per second, {_PAGES} pages open", having[0], "Hz"),
-        Row("fewer poses with pages", fewer, "%", most=_MOST_FEWER, note=busy),
+        Row("fewer poses with pages", fewer, "%", most=most_fewer, note=busy),
         Row("picture to hand at the reader, no page open, p99", without[1], "ms"),
         Row(f"picture to hand at the reader, {_PAGES} pages open, p99", having[1], "ms"),
-        Row("later with pages, p99", later, "%", most=_MOST_LATER if card else None),
-        Row("pictures per second, the slower page", pictures_hz, "Hz", least=_SMOOTH_HZ if card else None, note=drawn),
+        Row("later with pages, p99", later, "%", most=most_later if card else None),
+        Row("pictures per second, the slower page", pictures_hz, "Hz", least=smooth_hz if card else None, note=drawn),
         Row("pose on the bus to the picture that shows it, p50", p50, "ms"),
         Row("pose on the bus to the picture that shows it, p99", p99, "ms", most=limit_ms, note=busy or one),
     )

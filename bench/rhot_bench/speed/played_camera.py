@@ -35,8 +35,6 @@ NOISE_PX: Final = 0.1
 """Of a marker's centre, each axis; what the simulated cameras' detection is worth (`rhot evaluate tracking`)."""
 _PHASE_S: Final = 0.007
 """Each further camera is so much behind; no two cameras are in step."""
-_WORLD_LOOP_NS: Final = 10**15
-"""The world starts over after 11 days, so that its time keeps its precision."""
 
 
 class PlayedSettings(BaseModel):
@@ -123,7 +121,8 @@ class PlayedCamera:
             due_s += (1 + behind) * period_s
 
     def _frame(self, true_ns: int, t_ns: int, number: int) -> MarkerFrame:
-        truth = self._world.sample(np.array([(true_ns % _WORLD_LOOP_NS) * 1e-9])).markers
+        # The world starts over after 11 days, so that its time keeps its precision.
+        truth = self._world.sample(np.array([(true_ns % (10**15)) * 1e-9])).markers
         uv = self._camera.project(np.array([centre[0] for centre in truth.values()]))
         inside = self._camera.contains(uv)
         uv += self._rng.normal(0.0, NOISE_PX, uv.shape)

@@ -24,9 +24,7 @@ from rhot_tools.measures.rows import Row, Section
 
 _RATE_HZ: Final = 180.0
 """Two cameras at 90 Hz."""
-_MOST_ADDED_MS: Final = 0.5
 _LIMIT_S: Final = 20.0
-_WARM_UP: Final = 100
 
 
 def secured_section(seconds: float) -> Section:
@@ -39,7 +37,8 @@ def secured_section(seconds: float) -> Section:
         for share, percent in (("p50", 50), ("p99", 99))
     ]
     note = f"{len(plain_ms)} messages each, in turns"
-    rows.append(Row("added to the median", added, "ms", most=_MOST_ADDED_MS, note=note))
+    most_added_ms = 0.5
+    rows.append(Row("added to the median", added, "ms", most=most_added_ms, note=note))
     return Section(f"A secured bus: latency of markers at {_RATE_HZ:g} Hz", tuple(rows))
 
 
@@ -60,7 +59,8 @@ async def _measured(seconds: float) -> tuple[list[float], list[float]]:
                     await asyncio.sleep(max(0.0, begun + (number + 1) / _RATE_HZ - time.perf_counter()))
         finally:
             await supervisor.stop()
-    plain, secured_times = (link.times_ms[_WARM_UP:] for link in links)
+    warm_up = 100
+    plain, secured_times = (link.times_ms[warm_up:] for link in links)
     return plain, secured_times
 
 

@@ -21,7 +21,6 @@ from rhot_tools.measures.rows import Row, Section
 _ENDPOINT: Final = "tcp/127.0.0.1:7457"
 _UP_LIMIT_S: Final = 30.0
 _POLL_S: Final = 0.05
-_WORK_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,8 @@ async def _measured(rig: Rig, logs: Path) -> list[ServiceCost]:
                     await asyncio.sleep(_POLL_S)
                 started[name] = (time.perf_counter() - began, child.process.pid)
             await broadcast(bus, "start", "bench", 1.0, wait_s=5.0)
-            await asyncio.sleep(_WORK_S)
+            work_s = 3.0
+            await asyncio.sleep(work_s)
             costs = [ServiceCost(name, start_s, _resident_mb(pid)) for name, (start_s, pid) in started.items()]
             await broadcast(bus, "stop", "bench", 0.0, wait_s=5.0)
             return costs

@@ -28,8 +28,6 @@ from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 from rhot_feet.imu.track import InertialStep
 from rhot_feet.imu.zero_velocity_detector import MOVING, ZeroVelocity, ZeroVelocityDetector, ZeroVelocitySettings
 
-_AT_REST: Final = 20
-"""Samples at the start in which the foot stands, for the direction of up."""
 _VERDICTS: Final = {False: MOVING, True: ZeroVelocity(still=True, speed_sigma=0.01, rate=None)}
 _STRAIGHT_M: Final = 0.8
 """Distance from the start at which headings are made equal, as the published figures do."""
@@ -95,7 +93,8 @@ def _at_rest(samples: ImuSamples) -> InertialState:
     # The heading is not measured by anything: it is what it is.
     P[ATTITUDE.stop - 1, ATTITUDE.stop - 1] = 1e-8
     zero = np.zeros(3)
-    R = level_rotation(samples.specific_force[:_AT_REST].mean(axis=0))
+    # Samples at the start in which the foot stands, for the direction of up.
+    R = level_rotation(samples.specific_force[:20].mean(axis=0))
     return InertialState(zero, zero, R, zero, zero, zero, np.eye(3), P)
 
 

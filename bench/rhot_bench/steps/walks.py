@@ -28,8 +28,6 @@ SIGMA_M: Final = 0.003
 PICTURE_S: Final = 1.0 / 60.0
 _ALIGNED_FOR_S: Final = 0.2
 """Swings count from so long after the sensor is aligned: the one in which it becomes so was hardly followed."""
-_SHORTEST_S: Final = 0.2
-"""What is shorter is no swing: a foot that rolls, or the label of the motion capture that wavers."""
 _COLUMNS: Final = ("t", "ax", "ay", "az", "gx", "gy", "gz", "px", "py", "pz", "zv")
 
 
@@ -103,7 +101,8 @@ def hide_swings(trial: StepTrial, seed: int = 1) -> HiddenSwings:
     for k, t_s in enumerate(trial.t_s.tolist()):
         t_ns = int(trial.samples.t_ns[k])
         foot.add_imu_samples(trial.samples.rows(k, k + 1))
-        lands = trial.stands[k] and t_s - stood_s >= _SHORTEST_S
+        # What is shorter is no swing: a foot that rolls, or the label of the motion capture that wavers.
+        lands = trial.stands[k] and t_s - stood_s >= 0.2
         stood_s = t_s if trial.stands[k] else stood_s
         if lands and t_s > aligned_s + _ALIGNED_FOR_S:
             state = foot.state(t_ns)

@@ -43,7 +43,6 @@ DISTANCES_CM: Final = (*range(20, 101, 5),)
 THESIS_FRAME: Final = "thesis on a Pi 3: 17–19 ms, 31 ms more with rectification"
 _PROBE: Final = "index"
 _SETTLE_S: Final = 0.2
-_SIGHT_MARGIN_M: Final = 0.1
 _LAW_CORRECTED: Final = "thesis: 1–3 % after correction, up to 5 % before"
 
 
@@ -164,7 +163,8 @@ def probe_depths(rig: Rig, distance_m: float, seconds: float) -> FloatArray:
     still = _with_motion(rig, "still")
     fusion = still.config.fusion
     low, high = fusion.volume_m
-    volume = ((low[0], low[1], min(low[2], distance_m - _SIGHT_MARGIN_M)), high)
+    sight_margin_m = 0.1
+    volume = ((low[0], low[1], min(low[2], distance_m - sight_margin_m)), high)
     config = still.config.model_copy(update={"fusion": fusion.model_copy(update={"volume_m": volume})})
     still = dataclasses.replace(still, config=config)
     world = World.from_rig(still)

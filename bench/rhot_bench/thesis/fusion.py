@@ -18,9 +18,6 @@ Place = tuple[float, float, float]
 
 PAIRING_S: Final = 0.020
 LAW: Final = (4543.3, -1.035)
-_MIN_CUTOFF_HZ: Final = 1.0
-_BETA: Final = 0.007
-_DERIVATIVE_CUTOFF_HZ: Final = 1.0
 
 
 def law_depth_m(disparity_px: float) -> float:
@@ -44,8 +41,11 @@ class OneEuro:
             return value
         period = max(t_s - self._t_s, 1e-3)
         slope = (value - self._value) / period
-        self._speed += _share(_DERIVATIVE_CUTOFF_HZ, period) * (slope - self._speed)
-        self._value += _share(_MIN_CUTOFF_HZ + _BETA * abs(self._speed), period) * (value - self._value)
+        derivative_cutoff_hz = 1.0
+        self._speed += _share(derivative_cutoff_hz, period) * (slope - self._speed)
+        min_cutoff_hz = 1.0
+        beta = 0.007
+        self._value += _share(min_cutoff_hz + beta * abs(self._speed), period) * (value - self._value)
         self._t_s = t_s
         return self._value
 

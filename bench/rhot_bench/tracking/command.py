@@ -22,7 +22,6 @@ from rhot_tools.measures.html import html_report
 from rhot_tools.measures.output import counted, json_option, page_option, show
 from rhot_tools.measures.rows import check_output
 
-_STILL_S: Final = 8.0
 _FAST_S: Final = 15.0
 _QUICK: Final = 0.1
 _LEAST_S: Final = 0.6
@@ -87,9 +86,10 @@ def tracking(
     check_output("--json", json_path)
     check_output("--report", page_path)
     share = _QUICK if quick else 1.0
+    still_s = 8.0
     scenes = {
         "script": Scene("script", "script", 1.0, max(duration_s * share, _LEAST_S)),
-        "still": Scene("still", "still", 1.0, max(_STILL_S * share, _LEAST_S)),
+        "still": Scene("still", "still", 1.0, max(still_s * share, _LEAST_S)),
         "fast": Scene("fast", "script", speed, max(_FAST_S * share, _LEAST_S)),
     }
     console = Console(stderr=True, soft_wrap=True)

@@ -25,7 +25,6 @@ from rhot_tools.measures.points import PointTrack, false_points, identity_swaps,
 from rhot_tools.measures.rows import Row, Section
 
 SETTLE_S: Final = 1.0
-_LOOK_HZ: Final = 30.0
 MM: Final = 1e3
 
 HEADSET: Final = "headsets: about 11 mm"
@@ -118,7 +117,8 @@ def run_scene(rig: Rig, scene: Scene, advance: Callable[[], None], *, look: bool
     points = point_track(sets, world, START_NS).after(SETTLE_S)
     seen = None
     if look:
-        times_s = np.arange(SETTLE_S, end_s - 0.1, 1.0 / _LOOK_HZ)
+        look_hz = 30.0
+        times_s = np.arange(SETTLE_S, end_s - 0.1, 1.0 / look_hz)
         cameras = {name: MarkerCoverage(camera, world) for name, camera in true_cameras(rig).items()}
         rate_hz = next(iter(rig.config.cameras.values())).rate_hz
         seen = survival(points, times_s, visible_markers(cameras, points.names, times_s), rate_hz)

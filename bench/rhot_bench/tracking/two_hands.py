@@ -47,8 +47,6 @@ from rhot_tools.measures.rows import Row, Section, check_output
 _BLOCK: Final = 512
 _NOISE_PX: Final = 0.15
 """Of a blob's centre, each axis; rendered pictures show 0.1 to 0.2."""
-_CLEARANCE_M: Final = 0.015
-"""Flesh hides what lies this much behind its middle: a fingertip's own flesh does not."""
 _TIP_LENGTH_M: Final = 0.017
 _LOSS: Final = 0.02
 """Share of blobs that are missed for no reason."""
@@ -122,7 +120,9 @@ class _CameraBlobs:
                         radius = (1.0 - share) * radii[a] + share * radii[b]
                         along = (ray * ball[:, None]).sum(-1)
                         beside2 = (ball**2).sum(-1)[:, None] - along**2
-                        seen &= ~((beside2 < radius**2) & (along < length - _CLEARANCE_M))
+                        # Flesh hides what lies this much behind its middle: a fingertip's own
+                        # flesh does not.
+                        seen &= ~((beside2 < radius**2) & (along < length - 0.015))
         return seen
 
     def _spot(self, k: int, uv: FloatArray, px_m: float) -> Spot:

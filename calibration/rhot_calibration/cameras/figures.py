@@ -21,7 +21,6 @@ DISTANCES_M: Final = (0.50, 0.75, 1.00)
 MARKER_SIGMA_PX: Final = 0.1
 """Spread of a marker's centre in one picture that the stated error holds for."""
 _DRAWS: Final = 60
-_GRID: Final = (7, 5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +248,8 @@ def _factor(covariance: FloatArray) -> FloatArray:
 
 
 def _points_at(reference: CameraModel, distance_m: float) -> FloatArray:
-    columns, rows = _GRID
+    grid = (7, 5)
+    columns, rows = grid
     u, v = np.meshgrid(
         np.linspace(0.05, 0.95, columns) * (reference.width - 1), np.linspace(0.05, 0.95, rows) * (reference.height - 1)
     )

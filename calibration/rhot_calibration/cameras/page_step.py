@@ -32,7 +32,6 @@ from rhot_calibration.page_step import PageStep, trial_buttons
 
 _SIZE: Final = (320, 240)
 _COVERED: Final = (70, 160, 60)
-_EMPTY: Final = (30, 30, 30)
 _SHARE: Final = 0.45
 
 
@@ -43,7 +42,8 @@ def coverage_jpeg(area: NDArray[np.bool_], picture: bytes | None) -> bytes:
         area: as of `CameraCoverage.area`.
         picture: the newest, coded; None = there is none.
     """
-    canvas = np.full((_SIZE[1], _SIZE[0], 3), _EMPTY, np.uint8)
+    empty = (30, 30, 30)
+    canvas = np.full((_SIZE[1], _SIZE[0], 3), empty, np.uint8)
     seen = None if picture is None else decode_picture(picture)
     if seen is not None:
         canvas = np.asarray(cv2.resize(seen, _SIZE, interpolation=cv2.INTER_AREA), np.uint8)

@@ -121,10 +121,6 @@ _THREADS: Final = 2
 _FIRST: Final = 6
 """Number of pictures without the board after which some of them are searched for a board of another size: searching for
 a board that is not there takes a second per picture."""
-_MARKER_SIZE_ERROR: Final = 0.10
-"""Smaller errors of the stated side are not told from those of measuring it: in drawn pictures 2 to 5 %."""
-_TRIED: Final = 4
-"""Pictures, spread over all, whose markers are looked at first."""
 _LOOKED_UP: Final = 2
 """Of these, pictures in which markers of all dictionaries are looked for, half a second each."""
 _FIRST_EXPLAINED: Final = 2
@@ -203,7 +199,8 @@ def read_pictures(
     """
     loaded = load_recording(recording) if isinstance(recording, Path) else recording
     _require_same_cameras(loaded, cameras)
-    hint = _options_hint(list(islice(spread_pictures(loaded, cameras), _TRIED)), board)
+    # Pictures, spread over all, whose markers are looked at first.
+    hint = _options_hint(list(islice(spread_pictures(loaded, cameras), 4)), board)
     if hint:
         return PictureReading(ViewSet(board, sizes or {}, {}, {}), hint=hint)
     total = sum(count_pictures(loaded, name) for name in cameras)
@@ -300,7 +297,8 @@ def _size_hint(shares: list[float], board: Board) -> str:
     if not shares or board.marker_m is None:
         return ""
     marker_mm = 1e3 * board.square_m * float(np.median(shares))
-    if abs(marker_mm / (1e3 * board.marker_m) - 1.0) <= _MARKER_SIZE_ERROR:
+    # Smaller errors of the stated side are not told from those of measuring it: in drawn pictures 2 to 5 %.
+    if abs(marker_mm / (1e3 * board.marker_m) - 1.0) <= 0.10:
         return ""
     return (
         f"its markers measure about {marker_mm:.1f} mm where squares measure {1e3 * board.square_m:g} mm, not "

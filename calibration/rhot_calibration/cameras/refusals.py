@@ -37,8 +37,6 @@ WARN_BASELINE_ERROR: Final = 0.15
 """Largest deviation from the places in `rig.toml`, which are only roughly meant."""
 WARN_ERROR_M: Final = 0.01
 """Error in space, as a share of the distance, from which more pictures are asked for."""
-_TOLD: Final = 4
-"""So many of the things that are missing are told at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +126,8 @@ def refuse_poor(
                 "allowed. Is the board flat and glued to something stiff, was it held still, are the pictures sharp, "
                 "and is it the board that was stated?"
             )
-        missing = "; ".join(coverage[name].missing[:_TOLD]) or "more pictures, at other places and tilts"
+        # So many of the things that are missing are told at once.
+        missing = "; ".join(coverage[name].missing[:4]) or "more pictures, at other places and tilts"
         seen = [view for key, view in solution.views.items() if key[0] == name]
         different = _different(seen, width)
         if different < MIN_VIEWS:

@@ -127,8 +127,6 @@ def check_quality(quality: Mapping[str, MarkerQuality]) -> None:
 # The hue alone does not tell: wooden desks and cardboard have that of skin, and dark skin in weak light is as dark as
 # many a desk. But what lies between and around the painted markers is mostly the hand, and most of the picture is not.
 
-_HUE: Final = ((0.02, 0.90), (-1.60, -0.02))
-"""Bounds of ln(R/G) and ln(B/G) of skin in any ordinary light: more red than green, more green than blue."""
 _BRIGHTNESS: Final = math.log(85.0)
 """Least brightness of skin where the pictures do not tell where the hand is: shadows have its hue, too."""
 _FEWEST: Final = 4
@@ -188,7 +186,8 @@ def _hull(painted: BoolArray) -> ImageArray:
 
 def _has_hue(component: ColorComponent) -> bool:
     red, blue, _ = component.mean()
-    (red_low, red_high), (blue_low, blue_high) = _HUE
+    # Bounds of ln(R/G) and ln(B/G) of skin in any ordinary light: more red than green, more green than blue.
+    (red_low, red_high), (blue_low, blue_high) = ((0.02, 0.90), (-1.60, -0.02))
     return bool(red_low <= red <= red_high and blue_low <= blue <= blue_high)
 
 
@@ -199,15 +198,6 @@ def _has_hue(component: ColorComponent) -> bool:
 # Two cameras with an automatic white balance of their own show one paint in two colours. One class for both would be as
 # wide as they are apart, and take in what lies between. So what a camera does to all colours alike is told apart from
 # the paints: it multiplies red, green and blue by three factors (von Kries).
-
-_LEAST_PAINTS: Final = 3
-"""Paints that tell a camera's factors: of two that disagree none is known to be the wrong one."""
-_SURE: Final = 3.0
-"""Standard errors by which cameras must differ: two views of a paint differ in light and shade, too."""
-_LEAST_ERROR: Final = 0.005
-"""Half a per cent: rounding to whole grey levels of a dark channel."""
-_CUT_OFF: Final = 250.0
-"""Grey levels; brighter ones may be cut off, and their ratios say nothing."""
 
 
 def camera_gains(
@@ -234,16 +224,20 @@ def camera_gains(
         for column, paint in enumerate(paints):
             if parts := [image[inner(shown[paint])] for image, shown in own if paint in shown]:
                 levels[row, column] = np.log(np.maximum(np.median(np.concatenate(parts), axis=0)[::-1], 1.0))
-    levels[levels > np.log(_CUT_OFF)] = np.nan
+    # Grey levels; brighter ones may be cut off, and their ratios say nothing.
+    levels[levels > np.log(250.0)] = np.nan
     seen_by_all = np.isfinite(levels).all(axis=0)
-    if np.any(np.count_nonzero(seen_by_all, axis=0) < _LEAST_PAINTS):
+    # Paints that tell a camera's factors: of two that disagree none is known to be the wrong one.
+    if np.any(np.count_nonzero(seen_by_all, axis=0) < 3):
         return {}
     relative = np.where(seen_by_all, levels - levels.mean(axis=0), np.nan)
     middle = np.nanmedian(relative, axis=1)
     # Of a median, by the median of the deviations from it, for a normal distribution.
     deviation = np.nanmedian(np.abs(relative - middle[:, None]), axis=1)
     error = 1.2533 * 1.4826 * deviation / np.sqrt(np.count_nonzero(seen_by_all, axis=0))
-    if np.all(np.abs(middle) <= _SURE * np.maximum(error, _LEAST_ERROR)):
+    # Standard errors by which cameras must differ: two views of a paint differ in light and shade, too.
+    # Half a per cent: rounding to whole grey levels of a dark channel.
+    if np.all(np.abs(middle) <= 3.0 * np.maximum(error, 0.005)):
         return {}
     factors = np.exp(-middle)
     return {name: _rounded(each) for name, each in zip(names, factors, strict=True)}
@@ -276,17 +270,10 @@ _PATCH_LIMIT: Final = 5.0
 """Limits in standard deviations. A flat patch changes its colour as a whole when its gloss changes: at 3.5, a patch in
 plain view broke into pieces 8 to 15 pixels off in one of eleven rendered worlds. Limits from 4.2 to 6 give the same
 live coverage (93.5 %) and 95th percentile (5.1 mm) over all of them."""
-_PATCH_GLOSS: Final = 30.0
-"""Standard deviation of the gloss of a patch that reflects a lamp, grey levels. A flat patch does so as a whole, a
-curved fingertip only in a spot."""
 _GLOSSY: Final = 0.02
 """Share of a patch's pixels that are seen in this condition. In one of 22 rendered sequences, the patch had broken into
 pieces of its rim and the hand was 68 mm off; with these components, 20 mm. The detections of the other 21 are the same
 to 0.1 %. At 0.05, the patch is found in one of three photographs without markers."""
-_LOOKALIKE_ROUNDS: Final = 3
-_MAX_LOOKALIKES: Final = 64
-_LOOKALIKE_WEIGHT: Final = 0.02
-_LOOKALIKE_AREA_SHARE: Final = 0.5
 _CLEARANCE: Final = np.ones((7, 7), np.uint8)
 
 
@@ -349,9 +336,11 @@ def calibrate(
     limits = {name: _PATCH_LIMIT if markers[name].kind == "patch" else _LIMIT for name in names}
     colors = _assemble(fitted, limits, background, features, found)
     lookalikes: list[ColorComponent] = []
-    for _ in range(_LOOKALIKE_ROUNDS):
+    lookalike_rounds = 3
+    for _ in range(lookalike_rounds):
         new = _lookalikes(colors, names, images, features, found, markers)
-        room = _MAX_LOOKALIKES - len(lookalikes)
+        max_lookalikes = 64
+        room = max_lookalikes - len(lookalikes)
         if not new or room <= 0:
             break
         lookalikes += new[:room]
@@ -380,7 +369,9 @@ def _fit_marker(samples: FloatArray, kind: str) -> list[ColorComponent]:
     usual = [with_gloss(part) for part in parts]
     if kind != "patch":
         return usual
-    glossy = [with_gloss(part, _PATCH_GLOSS) for part in parts]
+    # Standard deviation of the gloss of a patch that reflects a lamp, grey levels. A flat patch does so as a
+    # whole, a curved fingertip only in a spot.
+    glossy = [with_gloss(part, 30.0) for part in parts]
     return [*_weighted(usual, 1.0 - _GLOSSY), *_weighted(glossy, _GLOSSY)]
 
 
@@ -432,11 +423,13 @@ def _lookalikes(
         for label, name in enumerate(names, start=1):
             if name not in chosen:
                 continue
-            least = _LOOKALIKE_AREA_SHARE * markers[name].min_area_px
+            lookalike_area_share = 0.5
+            least = lookalike_area_share * markers[name].min_area_px
             for blob in find_blobs(labels, label, least, float(labels.size)):
                 inside = (blob.mask > 0) & (labels[blob.window] == label)
                 apart = inside & free[blob.window]
                 if np.count_nonzero(apart) > 0.5 * np.count_nonzero(inside):
-                    component = fit_component(each[blob.window][apart], COUNTER_FLOOR, _LOOKALIKE_WEIGHT)
+                    lookalike_weight = 0.02
+                    component = fit_component(each[blob.window][apart], COUNTER_FLOOR, lookalike_weight)
                     components.append((blob.area, component))
     return [component for _, component in sorted(components, key=lambda each: -each[0])]

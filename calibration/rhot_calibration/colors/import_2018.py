@@ -20,9 +20,7 @@ from rhot.text_files import parse_json, read_text
 
 _SHUTTER_S: Final = 0.33
 _ISO: Final = 800.0
-_GAIN_AT_ISO_100: Final = 1.84
 _NEUTRAL: Final = 50.0
-_GAIN_BOUNDS: Final = (1.0, 64.0)
 _PERCENTAGES: Final = ("Exposure", "Gain", "Brightness", "Contrast", "Saturation")
 _WHITE_BALANCE: Final = ("awb red", "awb blue")
 
@@ -54,9 +52,11 @@ def load_camera_settings(path: Path) -> ImportedSettings:
     else:
         remarks.append("Exposure = 0 was automatic; rhot locks it: set exposure_s yourself, 0.004 is a good start")
     iso = _ISO * values["Gain"] / 100.0
-    gain = iso / 100.0 * _GAIN_AT_ISO_100
+    gain_at_iso_100 = 1.84
+    gain = iso / 100.0 * gain_at_iso_100
     if iso > 0.0:
-        low, high = _GAIN_BOUNDS
+        gain_bounds = (1.0, 64.0)
+        low, high = gain_bounds
         lines.append(f"gain = {min(max(gain, low), high):.2f}")
         remarks.append(
             f"gain: Gain = {values['Gain']:g} was ISO {iso:.0f}, an overall gain of about {gain:.2f} on a camera "

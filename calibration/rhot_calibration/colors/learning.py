@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -22,8 +21,6 @@ from rhot_capture.detection.color_table import ColorTable, camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.detection.result import Detection
 from rhot_capture.preview import preview_jpeg
-
-_OVERLAY_WIDTH: Final = 480
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +118,8 @@ def _pictures(pictures: Sequence[ClickedPicture], learnt: LearntColors) -> dict[
     cameras = len({each.camera for each in pictures})
     for number, (each, found) in enumerate(zip(pictures, learnt.detections, strict=True)):
         title = each.camera if number < cameras else f"{each.camera}, picture {number + 1}"
-        overlay = overlay_picture(each.image, learnt.calibration, number, found, _OVERLAY_WIDTH)
+        overlay_width = 480
+        overlay = overlay_picture(each.image, learnt.calibration, number, found, overlay_width)
         shown[f"{title}: white = learnt from, green = found"] = preview_jpeg(overlay)
         mask = np.where(learnt.tables[number].classify(each.image)[0] > 0, 255, 0).astype(np.uint8)
         shown[f"{title}: what the colours take in"] = preview_jpeg(each.image, None, mask)

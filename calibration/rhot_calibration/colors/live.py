@@ -14,7 +14,6 @@ from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
 
 _CONNECT_TIMEOUT_S: Final = 2.0
-_ANSWER_TIMEOUT_S: Final = 3.0
 
 
 async def live_pictures(bus: BusConfig, cameras: Sequence[str]) -> dict[str, ImageArray]:
@@ -26,8 +25,9 @@ async def live_pictures(bus: BusConfig, cameras: Sequence[str]) -> dict[str, Ima
     """
     async with await Bus.open(bus, timeout_s=_CONNECT_TIMEOUT_S) as session:
         # PNG where the service knows it; JPEG blurs colours over blocks of pixels.
+        answer_timeout_s = 3.0
         return {
-            camera: decoded(camera, await session.get(f"rhot/preview/{camera}?format=png", timeout_s=_ANSWER_TIMEOUT_S))
+            camera: decoded(camera, await session.get(f"rhot/preview/{camera}?format=png", timeout_s=answer_timeout_s))
             for camera in cameras
         }
 

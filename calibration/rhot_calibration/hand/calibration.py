@@ -35,20 +35,17 @@ from rhot_calibration.hand.samples.samples import FEWEST_SAMPLES, HandSamples, r
 #
 # Every function raises a `CalibrationError` that says what is wrong and what to do.
 
-_SEEN_SHARE: Final = 0.10
-"""Each fingertip has to be seen in this share of the samples. Chosen on simulated hands."""
 _BEYOND_M: Final = 0.010
 _BEYOND_SHARE: Final = 0.10
 """A finger that is further than this from its knuckle in more than this share of the samples was bent when the hand
 should have been flat. Chosen on simulated hands."""
-_ORDER_GAP_M: Final = 0.012
-"""Spread fingertips come so near to crossing, seen a little from the side; swapped paints are 15 mm or more off."""
 
 
 def refuse_unseen_tips(samples: HandSamples, parameters: HandParameters) -> None:
     """Refuse samples in which a fingertip is hardly ever seen."""
     share = np.isfinite(samples.tips).all(axis=2).mean(axis=0)
-    least = max(_SEEN_SHARE, FEWEST_SAMPLES / 2 / len(samples))
+    # Each fingertip has to be seen in this share of the samples. Chosen on simulated hands.
+    least = max(0.10, FEWEST_SAMPLES / 2 / len(samples))
     poor = [index for index in range(len(FINGERS)) if share[index] < least]
     if not poor:
         return
@@ -84,7 +81,9 @@ def refuse_wrong_order(samples: HandSamples, viewpoint: FloatArray, parameters: 
     across *= (1.0 if parameters.side == "right" else -1.0) / np.linalg.norm(across)
     place = np.nanmedian((samples.tips[:, 1:] - base[None, None]) @ across, axis=0)
     order = [FINGERS[1 + k] for k in np.argsort(place)]
-    if order == list(FINGERS[1:]) or (np.diff(place) > -_ORDER_GAP_M).all():
+    # Spread fingertips come so near to crossing, seen a little from the side; swapped paints are 15 mm or more
+    # off.
+    if order == list(FINGERS[1:]) or (np.diff(place) > -0.012).all():
         return
     names = ", ".join(parameters.caps[finger] for finger in order)
     if order == list(reversed(FINGERS[1:])):
@@ -236,10 +235,6 @@ MOST_FLAT, MOST_BENT = 80, 360
 """More samples of a phase are thinned out evenly."""
 _STRAIGHT_M: Final = (0.010, 0.006)
 """How near to straight a finger has to be, before and after its knuckle is known roughly …"""
-_MOSTLY_STRAIGHT_M: Final = 0.004
-"""… and most of the time in the end."""
-_OUTLIER_SIGMAS: Final = 3.5
-_BIN_RAD: Final = np.radians(10.0)
 
 
 def measure_hand(
@@ -309,7 +304,8 @@ def _from_straight_fingers(
             window = straight_stretch(frame.seconds, deficit, limit_m, flat)
         chosen = _with_knuckles(frame, start, window, _straight(frame, fitted.x, limit_m))
         fitted = _refitted(frame, chosen, fitted.x, typed_length_m)
-    mostly = _share(frame, start, window, _straight(frame, fitted.x, _MOSTLY_STRAIGHT_M)) >= STRAIGHT_SHARE
+    # … and most of the time in the end.
+    mostly = _share(frame, start, window, _straight(frame, fitted.x, 0.004)) >= STRAIGHT_SHARE
     complied = _complied(frame, chosen, fitted.x) & mostly
     if complied.sum() < FEWEST_COMPLYING:
         complied[:] = False
@@ -396,7 +392,8 @@ def _complied(frame: PalmFrame, chosen: Chosen, x: FloatArray) -> BoolArray:
         flexion, deficit = tips.flexion[use, index], tips.deficit[use, index]
         if _arc(flexion) < SMALLEST_ARC_RAD:
             continue
-        bins = np.floor(flexion / _BIN_RAD)
+        bin_rad = np.radians(10.0)
+        bins = np.floor(flexion / bin_rad)
         medians = [np.median(deficit[bins == one]) for one in np.unique(bins) if (bins == one).sum() >= 4]
         complied[index] = float(np.sqrt(np.mean(np.square(medians)))) < MAX_ARC_MISS_M
     return complied
@@ -404,7 +401,8 @@ def _complied(frame: PalmFrame, chosen: Chosen, x: FloatArray) -> BoolArray:
 
 def _without_outliers(frame: PalmFrame, chosen: Chosen, x: FloatArray) -> Chosen:
     sigma_m = StraightFingers(frame, chosen, x).sigma_m
-    far = np.abs(np.nan_to_num(frame.tips(x, chosen.rows).deficit)) > _OUTLIER_SIGMAS * sigma_m
+    outlier_sigmas = 3.5
+    far = np.abs(np.nan_to_num(frame.tips(x, chosen.rows).deficit)) > outlier_sigmas * sigma_m
     return Chosen(chosen.rows, chosen.flat, chosen.use & ~far)
 
 

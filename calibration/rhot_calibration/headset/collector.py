@@ -28,8 +28,6 @@ MOTIONS: Final = ("nod", "turn", "tilt")
 _MARGIN_PX: Final = 3.0
 _MOVED_RAD, _MOVED_M = float(np.radians(0.7)), 0.008
 """A view from where the last one was taken says nothing new."""
-_FASTEST_RAD_S: Final = float(np.radians(90.0))
-"""A faster head blurs the picture, and its time matters more."""
 _AROUND_NS: Final = 10_000_000
 _MOST_WAITING: Final = 60
 _HIDDEN_NS: Final = 2_000_000_000
@@ -154,7 +152,8 @@ class ViewCollector:
         velocity = per_s * np.concatenate(
             [vector_from_rotation(after[:3, :3] @ before[:3, :3].T), after[:3, 3] - before[:3, 3]]
         )
-        if float(np.linalg.norm(velocity[:3])) > _FASTEST_RAD_S:
+        # A faster head blurs the picture, and its time matters more.
+        if float(np.linalg.norm(velocity[:3])) > float(np.radians(90.0)):
             return
         if self.views:
             last = self.views[-1].T_rig_head

@@ -22,7 +22,6 @@ from rhot.geometry.rotations import cross_matrix, nearest_rotation, rotation_fro
 from rhot.geometry.transforms import rigid
 
 _STEPS: Final = 12
-_LONGEST_STEP_RAD: Final = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +90,9 @@ def _middles_fitted(start: FloatArray, middles: FloatArray, R: FloatArray, t: Fl
         A = np.concatenate([(R @ lever).reshape(-1, 3), linear], axis=1)
         solution_all = np.linalg.lstsq(A, -here.ravel(), rcond=1e-8)[0]
         turn, solution = solution_all[:3], solution_all[3:]
+        longest_step_rad = 0.7
         R_X = nearest_rotation(
-            rotation_from_vector(turn * min(1.0, _LONGEST_STEP_RAD / max(float(np.linalg.norm(turn)), 1e-9))) @ R_X
+            rotation_from_vector(turn * min(1.0, longest_step_rad / max(float(np.linalg.norm(turn)), 1e-9))) @ R_X
         )
         residual = np.einsum("nij,nj->ni", R, middles @ R_X.T).ravel() + t.ravel() + linear @ solution
     # Robust: one wrong view must not decide which rotation is best.

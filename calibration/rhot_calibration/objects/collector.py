@@ -13,11 +13,7 @@ from rhot_calibration.objects.fit import Places
 from rhot_calibration.objects.stillness import angle_between, covers, forget_old, held_pose
 from rhot_objects.pose import Pose
 
-_MARKER_STILL_M = 0.004
-"""Distance between the marker's mean places in the first and second half: cameras see it shake by millimetres."""
 _ELSEWHERE_M = 0.05
-_TURNED_RAD = np.radians(25.0)
-_LEAST_SIGMA_M = 3e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,15 +107,19 @@ class PlaceCollector:
         p_mean, R_mean = held
         x = np.array([sample.position for sample in self._points])
         half = len(x) // 2
-        if np.linalg.norm(x[:half].mean(axis=0) - x[half:].mean(axis=0)) > _MARKER_STILL_M:
+        # Distance between the marker's mean places in the first and second half: cameras see it shake by
+        # millimetres.
+        if np.linalg.norm(x[:half].mean(axis=0) - x[half:].mean(axis=0)) > 0.004:
             return None
         # Not divided by the number of samples: the tracker's filter makes them alike, and its bias does not average.
         sigma_m = float(np.mean([sample.sigma_m for sample in self._points])) / np.sqrt(3.0)
-        return Place(np.median(x, axis=0), max(sigma_m, _LEAST_SIGMA_M), R_mean, p_mean)
+        least_sigma_m = 3e-4
+        return Place(np.median(x, axis=0), max(sigma_m, least_sigma_m), R_mean, p_mean)
 
     def _is_new(self, place: Place) -> bool:
+        turned_rad = np.radians(25.0)
         return all(
             np.linalg.norm(place.p_space_device - other.p_space_device) > _ELSEWHERE_M
-            or angle_between(place.R_space_device, other.R_space_device) > _TURNED_RAD
+            or angle_between(place.R_space_device, other.R_space_device) > turned_rad
             for other in self.places
         )

@@ -24,8 +24,6 @@ from rhot_objects.registration import Registration
 CONNECT_TIMEOUT_S: Final = 5.0
 HINT_S: Final = 0.5
 """Between two looks at what is missing."""
-_CLOCKS_S: Final = 2.0
-"""A file's time and the start of a session, by another machine's clock, compare no better than this."""
 
 Taken = Callable[[Place], None]
 Hint = Callable[[str], None]
@@ -166,7 +164,8 @@ def check_session(start: Control | None, file: Path) -> None:
     """Refuse a session that began before the registration that would be undone was written."""
     if start is None or start.action != "start" or not file.exists():
         return
-    if file.stat().st_mtime > start.start_t_ns / 1e9 + _CLOCKS_S:
+    # A file's time and the start of a session, by another machine's clock, compare no better than this.
+    if file.stat().st_mtime > start.start_t_ns / 1e9 + 2.0:
         raise ConfigError(
             f"{file} was written after this session began, so `rhot objects` still uses an earlier registration; start "
             "the rig again (`rhot start`), then repeat this"

@@ -17,8 +17,6 @@ LEAST_COVERED = 0.8
 """Share of that time that a stream must cover."""
 _WINDOW_NS = round(STILL_S * 1e9)
 _LEAST_SAMPLES = 6
-_DEVICE_STILL_M = 0.003
-_DEVICE_STILL_RAD = np.radians(1.0)
 
 
 class Timed(Protocol):
@@ -52,7 +50,9 @@ def held_pose(p: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray] | N
     """
     p_mean, R_mean = p.mean(axis=0), nearest_rotation(R.mean(axis=0))
     turned = max(angle_between(R_mean, one) for one in R)
-    if np.linalg.norm(p - p_mean, axis=1).max() > _DEVICE_STILL_M or turned > _DEVICE_STILL_RAD:
+    device_still_m = 0.003
+    device_still_rad = np.radians(1.0)
+    if np.linalg.norm(p - p_mean, axis=1).max() > device_still_m or turned > device_still_rad:
         return None
     return p_mean, R_mean
 

@@ -29,7 +29,6 @@ SAME_PLANE_M: Final = 0.004
 error of 0.2 % amounts to at 1 m, and what a board of 20 cm has at its rim when it is tilted by 3°."""
 MAX_RESIDUAL_PX: Final = 1.5
 """RMS, above which board, cameras and pictures do not belong together; good calibrations have 0.1 to 0.4 px."""
-_MIN_CORNERS: Final = 6
 _PLANE: Final = 3
 _PLACE: Final = 3
 _X: Final = np.array([1.0, 0.0, 0.0])
@@ -108,7 +107,8 @@ def residual_text(fit: DeskFit) -> str:
 def _by_number(views: ViewSet) -> dict[int, dict[str, BoardView]]:
     found: dict[int, dict[str, BoardView]] = {}
     for (name, number), view in views.views.items():
-        if len(view.ids) >= _MIN_CORNERS:
+        min_corners = 6
+        if len(view.ids) >= min_corners:
             found.setdefault(number, {})[name] = view
     return dict(sorted(found.items()))
 

@@ -37,8 +37,6 @@ _IN_PICTURE: Final = {
     "left": (-1.0, 0.0, 0.0),
 }
 """Camera axes, OpenCV's."""
-_FLATTEST: Final = 0.2
-"""Length of a picture's direction once it is laid into the desk: below it, 12°, that direction is nearly vertical."""
 
 
 def stage_from_desk(fit: DeskFit, camera: CameraModel, desk_height_m: float, forward: Forward) -> FloatArray:
@@ -56,7 +54,9 @@ def stage_from_desk(fit: DeskFit, camera: CameraModel, desk_height_m: float, for
     pointed = camera.R_camera_rig.T @ np.array(_IN_PICTURE[forward])
     f = pointed - (pointed @ fit.up) * fit.up
     length = float(np.linalg.norm(f))
-    if length < _FLATTEST:
+    # Length of a picture's direction once it is laid into the desk: below it, 12°, that direction is nearly
+    # vertical.
+    if length < 0.2:
         raise CalibrationError(
             f"'{forward}' in the first camera's picture points along the vertical, so it cannot be the direction in "
             f"which the person looks; choose another --forward: {', '.join(FORWARDS)}"

@@ -21,7 +21,6 @@ LOOKS: Final = 3
 """Pictures a camera: the board lies still, and their mean has less noise."""
 _ANSWER_S: Final = 2.0
 _ALL_THERE_S: Final = 2.0
-_AGAIN_S: Final = 0.1
 
 
 async def look_at_desk(bus: Bus, cameras: Sequence[str], board: Board) -> ViewSet:
@@ -58,7 +57,8 @@ async def _answering(bus: Bus, cameras: Sequence[str], silent: dict[str, str]) -
         there = [name for name, payload in zip(cameras, pictures, strict=True) if payload]
         if len(there) == len(cameras) or time.monotonic() > deadline_s:
             return there
-        await asyncio.sleep(_AGAIN_S)
+        again_s = 0.1
+        await asyncio.sleep(again_s)
 
 
 async def _picture(bus: Bus, name: str, silent: dict[str, str]) -> bytes:

@@ -13,8 +13,6 @@ from rhot.messages import Message, encode, encoding_of, with_seq
 
 M = TypeVar("M", bound=Message)
 
-_MATCH_POLL_S = 0.005
-
 
 class Publisher(Generic[M]):
     """Publishes messages of one model on one key; made by `Bus.publisher`.
@@ -75,5 +73,6 @@ class Publisher(Generic[M]):
         while not self.has_reader:
             if asyncio.get_running_loop().time() >= deadline:
                 return False
-            await asyncio.sleep(_MATCH_POLL_S)
+            match_poll_s = 0.005
+            await asyncio.sleep(match_poll_s)
         return True

@@ -16,7 +16,6 @@ logger = logging.getLogger(__name__)
 
 PAGE_PORT: Final = 8080
 _HOST: Final = "127.0.0.1"
-_LAST_PORT: Final = 65535
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -84,7 +83,8 @@ def free_pages(wanted: int, *, grasp: bool = True) -> Pages:
     if not _grasp_is_built():
         logger.warning("the page Grasp is not built, so only the working page is shown; `make web` builds it")
         return Pages(working)
-    return Pages(working, _free(min(working + 1, _LAST_PORT)))
+    last_port = 65535
+    return Pages(working, _free(min(working + 1, last_port)))
 
 
 def _free(wanted: int) -> int | None:

@@ -13,7 +13,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 from rhot.text import printable
 
 SCHEMA_VERSION: Final = 1
-_QUATERNION_NORM_TOLERANCE: Final = 1e-3
 
 NAME_PATTERN: Final = r"^[A-Za-z0-9_.-]{1,64}$"
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
@@ -75,7 +74,8 @@ def unit_quaternion(value: Quaternion) -> Quaternion:
     """
     x, y, z, w = value
     norm = math.sqrt(x * x + y * y + z * z + w * w)
-    if abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE:
+    quaternion_norm_tolerance = 1e-3
+    if abs(norm - 1.0) > quaternion_norm_tolerance:
         raise ValueError(f"quaternion (x, y, z, w) has norm {norm:.6g}, must be 1")
     return value
 

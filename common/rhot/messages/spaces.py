@@ -9,8 +9,6 @@ from pydantic import Field, field_validator
 
 from rhot.messages.base import Label, Message
 
-_ORTHONORMAL = 1e-3
-
 Row = tuple[float, float, float, float]
 Matrix4 = tuple[Row, Row, Row, Row]
 
@@ -35,7 +33,8 @@ class Space(Message):
         R = T[:3, :3]
         if (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
             raise ValueError("the last row of T_rig_space must be 0 0 0 1")
-        if float(np.abs(R @ R.T - np.eye(3)).max()) > _ORTHONORMAL or float(np.linalg.det(R)) < 0.0:
+        orthonormal = 1e-3
+        if float(np.abs(R @ R.T - np.eye(3)).max()) > orthonormal or float(np.linalg.det(R)) < 0.0:
             raise ValueError("T_rig_space is no rigid transform: its rotation is not orthonormal and right-handed")
         if float(np.abs(T[:3, 3]).max()) > 1e3:
             raise ValueError("T_rig_space moves by more than 1000 m")

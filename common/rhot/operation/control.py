@@ -14,8 +14,6 @@ from rhot.messages import Control, decode
 from rhot.service.clock_sync import exchange_once
 from rhot.service.control_link import CONTROL_KEY
 
-_CLOCK_TRIES = 5
-
 
 async def rig_now_ns(bus: Bus, wait_s: float) -> int:
     """Return rig time by asking its owner.
@@ -36,7 +34,8 @@ async def quickest_exchange(bus: Bus, wait_s: float) -> Exchange:
     clock = SystemClock()
     deadline = time.monotonic() + wait_s
     exchanges: list[Exchange] = []
-    while len(exchanges) < _CLOCK_TRIES:
+    clock_tries = 5
+    while len(exchanges) < clock_tries:
         answered = await exchange_once(bus, clock, timeout_s=0.5)
         if answered is not None:
             exchanges.append(answered[0])

@@ -28,8 +28,6 @@ _AGAIN_MOST_S: Final = 5.0
 """Before a service is restarted; twice as long each time that it did not prove itself."""
 _MOST_CRASHES: Final = 4
 """In a row, of a service that did not prove itself in between."""
-_WRONG_USE: Final = 2
-"""The exit code of wrong settings, which restarting does not mend."""
 
 
 @dataclass(slots=True)
@@ -120,7 +118,8 @@ class Supervisor:
             lived_s = time.monotonic() - child.started_s
             crashes = 0 if lived_s >= _PROVEN_S else child.crashes + 1
             able = lived_s >= _PROVEN_S or code == EXIT_AGAIN or (code < 0 and crashes < _MOST_CRASHES)
-            if code == _WRONG_USE or not able:
+            # The exit code of wrong settings, which restarting does not mend.
+            if code == 2 or not able:
                 return child
             wait_s = min(_AGAIN_MOST_S, _AGAIN_FIRST_S * 2**crashes)
             logger.warning("%s; it restarts in %.1f s; the others keep running", self.failure(child), wait_s)

@@ -27,7 +27,6 @@ HEAD_HEADER: Final = ("t_ns", "x", "y", "z", "qx", "qy", "qz", "qw")
 SENSOR_HEADER: Final = ("t_ns", "ax", "ay", "az", "gx", "gy", "gz", "qx", "qy", "qz", "qw")
 _MOST_WAITING: Final = 4096
 """Batches that wait for the first picture: 20 s of poses and samples."""
-_MAX_NS: Final = 1 << 62
 
 
 def sensor_file(side: str) -> str:
@@ -181,6 +180,7 @@ def _rows(file: Path, lines: Sequence[str], width: int) -> Iterator[tuple[int, t
             t_ns, values = int(cells[0]), [float(cell) for cell in cells[1:]]
         except ValueError as error:
             raise ConfigError(f"{file}, line {line}: {text.strip()[:80]!r} is not a row of numbers") from error
-        if len(cells) != width or not 0 <= t_ns < _MAX_NS or not np.isfinite(values).all():
+        max_ns = 1 << 62
+        if len(cells) != width or not 0 <= t_ns < max_ns or not np.isfinite(values).all():
             raise ConfigError(f"{file}, line {line}: {text.strip()[:80]!r}: {width} numbers are needed, all finite")
         yield line, (t_ns, values)

@@ -18,8 +18,6 @@ MOST_CAMERAS: Final = 64
 """Of a recording, as of a rig."""
 _SHORTEST_PERIOD_NS: Final = 1_000_000
 """No camera of a rig takes more than 1,000 pictures a second: shorter intervals are counted in a coarser unit."""
-_COARSE_NS: Final = 1_000
-"""Intervals of less are milliseconds (33 at 30 Hz), other short ones microseconds (33,333)."""
 
 
 class TrackTiming(FileModel):
@@ -177,7 +175,9 @@ class Recording:
             times = np.unique(track.t_ns)
             period = float(np.median(np.diff(times))) if len(times) > 1 else _SHORTEST_PERIOD_NS
             if period < _SHORTEST_PERIOD_NS:
-                unit, factor = ("milliseconds", "1000000") if period < _COARSE_NS else ("microseconds", "1000")
+                # Intervals of less are milliseconds (33 at 30 Hz), other short ones microseconds
+                # (33,333).
+                unit, factor = ("milliseconds", "1000000") if period < 1_000 else ("microseconds", "1000")
                 raise ConfigError(
                     f"{self.path}: frames of camera {name} are {period:g} apart, which as nanoseconds would be "
                     f"{1e9 / period:.3g} pictures a second; its t_ns seem to be in {unit}: multiply them by {factor}"

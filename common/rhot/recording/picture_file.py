@@ -19,8 +19,6 @@ from rhot.errors import ConfigError
 _START_AND_END: Final = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG", b"IEND"))
 """Of an image: JPEG (ITU T.81, B.1.1.3), PNG. A JPEG's end cannot occur inside of coded data, where a zero follows each
 0xff, but at the end of a thumbnail in front of them."""
-_TAIL_BYTES: Final = 4096
-"""Some programs append data of their own."""
 
 
 def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[Any]:
@@ -38,7 +36,8 @@ def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[Any]:
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     # The decoder would fill the rest with grey and go on.
-    if any(data.startswith(start) and end not in data[-_TAIL_BYTES:] for start, end in _START_AND_END):
+    # Some programs append data of their own.
+    if any(data.startswith(start) and end not in data[-4096:] for start, end in _START_AND_END):
         raise ConfigError(f"{file}: the picture is cut off; copy it again, or remove it with its row of times")
     image = decode_picture(data, flags)
     if image is None:

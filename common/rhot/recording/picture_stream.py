@@ -20,7 +20,6 @@ from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
 
 _MOST_WAITING: Final = 8
 """Frames that may wait to be coded: an eighth of a second, 7 MB of 640x480."""
-_ENVELOPE_BYTES: Final = 4096
 
 logger = logging.getLogger(__name__)
 
@@ -64,7 +63,8 @@ class PictureStream:
         try:
             picture = coded()
             size = len(picture.jpeg) + len(picture.depth_png or b"")
-            if size > MAX_PAYLOAD_BYTES - _ENVELOPE_BYTES:
+            envelope_bytes = 4096
+            if size > MAX_PAYLOAD_BYTES - envelope_bytes:
                 raise BusError(f"a picture of {size} bytes is over the limit of {MAX_PAYLOAD_BYTES}")
             self._publisher.put(picture)
         except (BusError, cv2.error) as error:

@@ -20,7 +20,6 @@ TIMES_HEADER = ("frame", "t_ns")
 MARKERS_HEADER = ("frame", "t_ns", "marker", "u", "v")
 
 _MARKER_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
-_MAX_INTEGER = (1 << 63) - 1
 _MAX_PIXEL = 1e5
 
 
@@ -119,7 +118,8 @@ def _integer(file: Path, line: int, field: str, text: str) -> int:
         value = int(text)
     except ValueError:
         _fail(file, line, f"{field} = {text.strip()[:40]!r} is not an integer")
-    if not 0 <= value <= _MAX_INTEGER:
+    max_integer = (1 << 63) - 1
+    if not 0 <= value <= max_integer:
         _fail(file, line, f"{field} = {value} is out of range, must be 0 to 2^63 − 1")
     return value
 

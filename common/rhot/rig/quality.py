@@ -7,7 +7,6 @@ from typing import Any, Final
 
 EPIPOLAR_LIMIT_PX: Final = 1.0
 """Where the rows of two views disagree by more, a camera has been bumped; by half of it, it is drifting."""
-_TIMES_CALIBRATED: Final = 3.0
 
 
 def pair_epipolar_p95_px(quality: Any, first: str, second: str) -> float | None:
@@ -36,7 +35,8 @@ def figure(quality: Any, *path: str) -> float | None:
 
 def epipolar_limit_px(calibrated_p95_px: float | None) -> float:
     """Return the systematic epipolar error, pixels, above which a pair's calibration no longer holds."""
-    return max(EPIPOLAR_LIMIT_PX, _TIMES_CALIBRATED * (calibrated_p95_px or 0.0))
+    times_calibrated = 3.0
+    return max(EPIPOLAR_LIMIT_PX, times_calibrated * (calibrated_p95_px or 0.0))
 
 
 def figures_with_units(quality: Any) -> dict[str, float]:

@@ -21,8 +21,6 @@ CLOCK_KEY: Final = "rhot/clock"
 _FIRST_INTERVAL_S: Final = 0.05
 _FIRST_EXCHANGES: Final = 10
 """A node that joins asks so many times, so quickly: it knows rig time within half a second. Chosen."""
-_READY_EXCHANGES: Final = 4
-"""Samples are stamped from then on; of so few the shortest round trip is a fair one. Chosen."""
 _INTERVAL_S: Final = 0.5
 """Afterwards; the window of `rhot.clock.WINDOW` exchanges is a minute."""
 _TIMEOUT_S: Final = 1.0
@@ -31,8 +29,6 @@ _EARLIEST_NS: Final = 86_400_000_000_000
 _LATEST_NS: Final = 4_102_444_800_000_000_000
 """Rig time lies between 2 January 1970, where a machine without a battery starts, and the year 2100: times beyond would
 not fit into messages, or soon not."""
-_OWNER_MISSES: Final = 2
-"""Exchanges in a row that only another clock answered, after which that one is followed: a second."""
 
 
 @dataclass(slots=True)
@@ -110,7 +106,9 @@ async def keep_synced(bus: Bus, clock: SyncedRigClock, ready: asyncio.Event, wat
         followed = next((answer for answer in answers if answer.instance == owner), None)
         if followed is None and answers:
             missed += 1
-            if not owner or missed >= _OWNER_MISSES:
+            # Exchanges in a row that only another clock answered, after which that one is followed: a
+            # second.
+            if not owner or missed >= 2:
                 if owner:
                     clock.estimator.reset()
                 followed = min(answers, key=lambda answer: answer.instance)
@@ -119,7 +117,8 @@ async def keep_synced(bus: Bus, clock: SyncedRigClock, ready: asyncio.Event, wat
             missed = 0
             clock.estimator.add(followed.exchange)
             done += 1
-            if done >= _READY_EXCHANGES:
+            # Samples are stamped from then on; of so few the shortest round trip is a fair one. Chosen.
+            if done >= 4:
                 ready.set()
         quick = done < _FIRST_EXCHANGES
         await asyncio.sleep(_FIRST_INTERVAL_S if quick else _INTERVAL_S)

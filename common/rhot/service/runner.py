@@ -38,8 +38,6 @@ _RETRY_MAX_S: Final = 5.0
 """Until a device that failed is opened again; doubled each time, up to the second."""
 _LOOP_CHECK_S: Final = 0.1
 """How often the event loop proves that it turns."""
-_RECONFIGURE_LIMIT_S: Final = 1.5
-"""So long may a change of the configuration take; whoever asked waits 2 s."""
 
 
 class Service(Protocol):
@@ -292,7 +290,8 @@ class _Runner:
                 self._reconfigure(request.payload)
 
             # Services are changed on their own event loop only; this runs on a worker thread.
-            asyncio.run_coroutine_threadsafe(change(), loop).result(timeout=_RECONFIGURE_LIMIT_S)
+            # So long may a change of the configuration take; whoever asked waits 2 s.
+            asyncio.run_coroutine_threadsafe(change(), loop).result(timeout=1.5)
         return configuration.config_answer(self._service.config, request)
 
     async def _follow_config(self, node: Node) -> None:

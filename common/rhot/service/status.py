@@ -6,14 +6,10 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 
 from rhot.text import printable
-
-_LATENCY_SAMPLES: Final = 600
-"""Newest latencies kept per stage: ten seconds at 60 Hz."""
 
 
 @dataclass(slots=True)
@@ -77,7 +73,8 @@ class StatusBoard:
         """Note how long a stage took, or how old a result was."""
         samples = self._latencies.get(stage)
         if samples is None:
-            samples = self._latencies[stage] = deque(maxlen=_LATENCY_SAMPLES)
+            # Newest latencies kept per stage: ten seconds at 60 Hz.
+            samples = self._latencies[stage] = deque(maxlen=600)
         samples.append(seconds)
 
     def error(self, text: str) -> None:

@@ -37,7 +37,6 @@ _UNITY_POSITION: Final = np.array([1.0, 1.0, -1.0])
 _UNITY_ORIENTATION: Final = np.array([-1.0, -1.0, 1.0, 1.0])
 _MOST_KNOWN: Final = 64
 """Size of the cache of converted poses, which bridges with the same axes share."""
-_GIMBAL_LOCK: Final = 1.0 - 1e-9
 
 P = TypeVar("P", bound=Poses)
 K = TypeVar("K", bound=str)
@@ -109,7 +108,8 @@ def unity_euler_deg(xyzw: FloatArray) -> tuple[float, float, float]:
     x, y, z, w = xyzw.tolist()
     # Elements of R: R12 = −sin x, R02 : R22 = tan y, R10 : R11 = tan z.
     sine_x = min(max(-2.0 * (y * z - w * x), -1.0), 1.0)
-    if abs(sine_x) > _GIMBAL_LOCK:
+    gimbal_lock = 1.0 - 1e-9
+    if abs(sine_x) > gimbal_lock:
         about_y, about_z = math.atan2(-2.0 * (x * z - w * y), 1.0 - 2.0 * (y * y + z * z)), 0.0
     else:
         about_y = math.atan2(2.0 * (x * z + w * y), 1.0 - 2.0 * (x * x + y * y))

@@ -21,10 +21,6 @@ _LINE_PX: Final = 13
 """Smallest distance between two lines of text."""
 
 
-_PNG_LEVEL: Final = 1
-"""Lowest compression level: noise hardly compresses, and the camera's CPU is busy."""
-
-
 def preview_jpeg(
     image: ImageArray,
     detections: Mapping[str, Detection] | None = None,
@@ -49,7 +45,8 @@ def preview_png(
     mask: ImageArray | None = None,
 ) -> bytes:
     """Return a PNG of a frame, lossless for measurements; see `preview_jpeg`."""
-    return _coded(image, detections, mask, ".png", (cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL))
+    # Lowest compression level: noise hardly compresses, and the camera's CPU is busy.
+    return _coded(image, detections, mask, ".png", (cv2.IMWRITE_PNG_COMPRESSION, 1))
 
 
 def _coded(

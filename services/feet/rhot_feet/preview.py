@@ -38,10 +38,6 @@ _SHADED: Final = 0.35
 _QUALITY: Final = 85
 _TINT: Final = 0.55
 """Share of a foot's colour on the pixels of its blob."""
-_NEAREST_GATE_M: Final = 0.1
-"""A foot that is expected nearer than this, or behind the camera, has no gate in the picture."""
-_LARGEST_GATE_PX: Final = 2000.0
-_DEPTH_SPAN_MM: Final = (300.0, 2500.0)
 _SUBPIXEL_BITS: Final = 4
 NO_HEAD: Final = "no pose of the head for this picture: nothing is looked for"
 
@@ -50,8 +46,6 @@ _PERIOD_S: Final = 0.1
 _WAIT_S: Final = 0.5
 _KEEP_EVERY_S: Final = 1.0
 """A picture is kept so often while nobody looks, so that the first who asks gets one at once."""
-_MOST_PASSED_OVER: Final = 4
-"""The depth stage looks at one of so many pictures while all markers are seen; that one shows more."""
 _OVERLAYS: Final = ("markers", "depth", "none")
 
 
@@ -145,14 +139,16 @@ def _draw_blobs(canvas: ColorImage, blobs: DepthObservations, camera: CameraMode
 def _draw_gate(canvas: ColorImage, side: Side, expected: FootPrediction, camera: CameraModel) -> None:
     """Draw where a foot is expected: outside of the ellipse nothing is believed to be it."""
     x, y, z = expected.position
-    if z < _NEAREST_GATE_M:
+    # A foot that is expected nearer than this, or behind the camera, has no gate in the picture.
+    if z < 0.1:
         return
     u, v = camera.project(expected.position[None])[0]
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     J = np.array([[fx / z, 0.0, -fx * x / z**2], [0.0, fy / z, -fy * y / z**2]])
     variances, axes = np.linalg.eigh(J @ expected.covariance @ J.T)
     radii = GATE_SIGMAS * np.sqrt(np.maximum(variances, 0.0))
-    if not np.isfinite([u, v, *radii]).all() or max(abs(u), abs(v), *radii) > _LARGEST_GATE_PX:
+    largest_gate_px = 2000.0
+    if not np.isfinite([u, v, *radii]).all() or max(abs(u), abs(v), *radii) > largest_gate_px:
         return
     scale = 1 << _SUBPIXEL_BITS
     angle_deg = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
@@ -184,7 +180,8 @@ def _write(canvas: ColorImage, text: str, corner: tuple[int, int], color: Color,
 def _false_colors(frame: DepthFrame) -> ColorImage:
     if frame.depth_mm is None:
         return np.zeros_like(frame.color)
-    near, far = _DEPTH_SPAN_MM
+    depth_span_mm = (300.0, 2500.0)
+    near, far = depth_span_mm
     level = np.clip(255.0 * (far - frame.depth_mm) / (far - near), 0.0, 255.0).astype(np.uint8)
     colored = np.asarray(cv2.applyColorMap(level, cv2.COLORMAP_TURBO), np.uint8)
     colored[frame.depth_mm == 0] = 0
@@ -232,7 +229,8 @@ class FeetPreview:
         wanted = self._wanted.is_set()
         if not wanted and now_s - self._seen_s < _KEEP_EVERY_S:
             return
-        if found is not None and not found.blobs.points and self._passed_over < _MOST_PASSED_OVER - 1:
+        # The depth stage looks at one of so many pictures while all markers are seen; that one shows more.
+        if found is not None and not found.blobs.points and self._passed_over < 4 - 1:
             self._passed_over += 1
             return
         self._passed_over = 0

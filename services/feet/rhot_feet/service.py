@@ -42,9 +42,6 @@ _HEAD_LATE_S: Final = 0.15
 """Longest wait of an image for the head's pose."""
 _HEADLESS_S: Final = 2.0
 """Time without a head pose after which it is reported as missing."""
-_CLOCK_SET_NS: Final = 500_000_000
-"""A larger step of the rig clock resets the tracking, because older state would reject all new measurements for as long
-as the step."""
 _PERIOD_S: Final = 0.01
 """Interval of reading the ankle sensors and of publishing poses."""
 
@@ -273,7 +270,9 @@ class FeetService:
             begun = time.perf_counter()
             now_ns = node.clock.now_ns()
             before_ns, ahead_ns = ahead_ns, now_ns - time.monotonic_ns()
-            if abs(ahead_ns - before_ns) > _CLOCK_SET_NS:
+            # A larger step of the rig clock resets the tracking, because older state would reject all new
+            # measurements for as long as the step.
+            if abs(ahead_ns - before_ns) > 500_000_000:
                 logger.warning("the rig clock was set by %.1f s; the feet start over", (ahead_ns - before_ns) / 1e9)
                 self._start_over()
                 published_ns = 0

@@ -140,12 +140,6 @@ def _rig(tracker: Tracker, counts: Mapping[str, int]) -> Explanation:
 POINTS_KEY = "rhot/points"
 RIG_FRAME = "rig"
 
-_ROW_SPREAD_S = 0.1
-"""Largest difference between a marker's time and its frame's: the sensor's read-out takes no longer."""
-_SWAP_EVIDENCE = 50
-"""Cameras are reported as swapped if more points than this, and more than measured ones, are behind them: ten frames of
-a hand. Chosen."""
-
 
 class FusionCore:
     """Computes PointSets in the rig frame from MarkerFrames of any number of cameras, in any order of arrival.
@@ -230,7 +224,9 @@ class FusionCore:
         behind, measured = self.counts["behind_cameras"], self.counts["measured"]
         first, second = list(self._camera_index)[:2]
         remedy = f"cameras {first} and {second} are probably swapped: exchange their plugs or folders, or their names"
-        if behind > _SWAP_EVIDENCE and behind > measured:
+        # Cameras are reported as swapped if more points than this, and more than measured ones, are behind
+        # them: ten frames of a hand. Chosen.
+        if behind > 50 and behind > measured:
             return f"{behind} points are behind the cameras and {measured} in front: {remedy} in rig.toml"
         agreement = self._tracker.agreement if isinstance(self._tracker, FilterTracker) else None
         bumped_px = 0.0 if agreement is None else agreement.bumped_px
@@ -291,7 +287,9 @@ class FusionCore:
                 continue
             known += 1
             t_s = frame_s if marker.t_ns is None else (marker.t_ns - base_ns) * 1e-9
-            if abs(t_s - frame_s) > _ROW_SPREAD_S:
+            # Largest difference between a marker's time and its frame's: the sensor's read-out takes no
+            # longer.
+            if abs(t_s - frame_s) > 0.1:
                 self.counts["wrong_marker_time"] += 1
             elif not (-0.5 < marker.u < frame.width - 0.5 and -0.5 < marker.v < frame.height - 0.5):
                 self.counts["outside"] += 1

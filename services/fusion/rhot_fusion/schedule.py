@@ -12,8 +12,6 @@ from statistics import median
 
 _IN_PHASE = 0.15
 """Cameras whose phases differ by less than this share of a period are synchronised: 2.5 ms at 60 fps. Chosen."""
-_INTERVALS = 9
-"""Frame intervals stored per camera; the period is their median, correct if fewer than half contain a lost frame."""
 _LONGEST_WAIT_S = 1.0
 """Timeout: a camera without frames for this long is ignored, and longer intervals do not count as a period. Chosen:
 five periods of the lowest rate that `rhot sim` accepts, 5 Hz."""
@@ -34,7 +32,9 @@ class Schedule:
 
     def clear(self) -> None:
         """Reset to the nominal periods."""
-        self._intervals: list[deque[float]] = [deque(maxlen=_INTERVALS) for _ in self._nominal]
+        # Frame intervals stored per camera; the period is their median, correct if fewer than half contain a
+        # lost frame.
+        self._intervals: list[deque[float]] = [deque(maxlen=9) for _ in self._nominal]
         self._periods = list(self._nominal)
         self._frames_since = [0] * len(self._nominal)
         self.newest_s = [float("-inf")] * len(self._nominal)

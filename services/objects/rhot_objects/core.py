@@ -18,9 +18,6 @@ RIG_FRAME: Final = "rig"
 HOLD_S: Final = 0.2
 """How long a lost object is published at its last measured pose, in state `predicted`, seconds."""
 
-_MAX_DISTANCE_M: Final = 1e3
-"""Limit of the message; a larger distance is an error of the tracking system."""
-
 
 class ObjectCore:
     """Transforms the poses of one source to the rig frame, and holds poses during short losses.
@@ -66,7 +63,8 @@ class ObjectCore:
         outputs = []
         for object_id, sample in samples.items():
             T_rig_object = self._registration.to_rig(object_id, sample.pose)
-            if np.abs(T_rig_object.position).max() > _MAX_DISTANCE_M:
+            # Limit of the message; a larger distance is an error of the tracking system.
+            if np.abs(T_rig_object.position).max() > 1e3:
                 self.unusable += 1
                 continue
             self._last[object_id] = (sample.t_ns, T_rig_object)

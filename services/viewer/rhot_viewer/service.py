@@ -9,7 +9,7 @@ import socket
 import statistics
 import time
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 from pydantic import BaseModel, Field
 
@@ -47,9 +47,6 @@ from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.live_recording import LiveRecording
 
 logger = logging.getLogger(__name__)
-
-_PANEL_INTERVAL_S: Final = 0.25
-_HISTORY_INTERVAL_S: Final = 1.0
 
 
 class ViewerConfig(FileModel):
@@ -192,7 +189,8 @@ class ViewerService:
             await self._page.looked_at()
             for panel in self.panels:
                 panel.update()
-            await asyncio.sleep(_PANEL_INTERVAL_S)
+            panel_interval_s = 0.25
+            await asyncio.sleep(panel_interval_s)
 
     async def _keep_history(self) -> None:
         """Record the figures also without a browser, so that the charts are complete when one connects."""
@@ -200,7 +198,8 @@ class ViewerService:
             statuses = self._inbox.all_newest("rhot/status/", ServiceStatus, STATUS_AGE_S)
             self._problems.add(time.strftime("%H:%M:%S"), statuses)
             self._history.add(statuses, self._errors_mm())
-            await asyncio.sleep(_HISTORY_INTERVAL_S)
+            history_interval_s = 1.0
+            await asyncio.sleep(history_interval_s)
 
     def _errors_mm(self) -> dict[str, float]:
         """Return the fingertips' errors (simulation) and the markers' residuals, median, millimetres.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,8 +16,6 @@ from rhot_sim.world.world import World
 
 S = TypeVar("S", HandSample, PointsSample, ObjectSample)
 
-_DISORDER_NS: Final = 1_000_000_000
-
 
 def window(samples: Sequence[S], start_t_ns: int, from_s: float, to_s: float) -> list[S]:
     """Return what was true between two times, seconds since the start."""
@@ -27,7 +25,8 @@ def window(samples: Sequence[S], start_t_ns: int, from_s: float, to_s: float) ->
     # any disorder ends the search.
     for sample in reversed(samples):
         t_ns = sample.t_ns
-        if t_ns < low - _DISORDER_NS:
+        disorder_ns = 1_000_000_000
+        if t_ns < low - disorder_ns:
             break
         if low <= t_ns < high:
             chosen.append(sample)

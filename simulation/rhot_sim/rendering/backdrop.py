@@ -12,7 +12,6 @@ from rhot_sim.world.paint import DESK
 
 Image = NDArray[np.uint8]
 
-_LIGHT_LEVELS: Final = 5
 _NOISE_MARGIN_PX: Final = 128
 
 
@@ -44,7 +43,8 @@ class Backdrop:
     def __init__(self, width: int, height: int, scale: int, drift: float, rng: np.random.Generator) -> None:
         desk = desk_image(width, height, rng)
         self._drift = drift
-        count = _LIGHT_LEVELS if drift > 0.0 else 1
+        light_levels = 5
+        count = light_levels if drift > 0.0 else 1
         self._levels = np.linspace(1.0 - drift, 1.0 + drift, count)
         self._plain: list[Image] = [np.clip(np.round(desk * level), 0, 255).astype(np.uint8) for level in self._levels]
         self._large: list[Image] = [image.repeat(scale, axis=0).repeat(scale, axis=1) for image in self._plain]

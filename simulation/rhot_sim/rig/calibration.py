@@ -31,10 +31,6 @@ DISTORTION_ERROR: Final = 0.02
 """Largest errors of the intrinsics that a calibration would have found, each evenly drawn within its bounds."""
 CORNER_SIGMA_PX: Final = 0.1
 """Noise of the chessboard corners to which the poses are then fitted."""
-_STATED_M: Final = (0.5, 0.75, 1.0)
-_BOARD_VIEWS: Final = 20
-_BOARD_SIZE: Final = (9, 6)
-_BOARD_SQUARE_M: Final = 0.025
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +132,8 @@ def _quality(
         off_px = epipolar_distance(reference_found, camera, *corners)
         pairs[f"{next(iter(truth))}-{name}"] = {"epipolar_rms_px": round(float(np.sqrt(np.mean(off_px**2))), 4)}
     expected = {}
-    for distance_m in _STATED_M:
+    stated_m = (0.5, 0.75, 1.0)
+    for distance_m in stated_m:
         x, y = np.meshgrid(np.linspace(-0.3, 0.3, 9) * distance_m, np.linspace(-0.2, 0.2, 7) * distance_m)
         points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, distance_m)])
         errors = []
@@ -156,11 +153,14 @@ def _quality(
 
 def _board_points(rng: np.random.Generator) -> FloatArray:
     """Return corners (N, 3) of a chessboard held at many positions above the desk, metres, rig frame."""
-    columns, rows = _BOARD_SIZE
+    board_size = (9, 6)
+    columns, rows = board_size
     x, y = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)
-    board = _BOARD_SQUARE_M * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    board_square_m = 0.025
+    board = board_square_m * np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     views = []
-    for _ in range(_BOARD_VIEWS):
+    board_views = 20
+    for _ in range(board_views):
         position = rng.uniform((-0.15, -0.12, 0.5), (0.2, 0.12, 0.9))
         views.append(board @ rotation_from_vector(rng.uniform(-0.5, 0.5, 3)).T + position)
     return np.concatenate(views)

@@ -25,7 +25,6 @@ from rhot_sim.rig.folder import true_cameras
 from rhot_sim.running.watched_run import WatchedRun
 from rhot_sim.world.world import World
 
-_COVERAGE_MOMENTS: Final = 200
 _SWITCH_S: Final = 0.0005
 
 
@@ -91,9 +90,10 @@ class SimRun(WatchedRun):
         if "latency_ms" in figures:
             figures["latency_ms"]["parts"] = latency_parts(services["services"])
         points, rate_hz = self._collected.points, next(iter(config.cameras.values())).rate_hz
+        coverage_moments = 200
         covered = coverage(
             {name: MarkerCoverage(camera, self._world) for name, camera in true_cameras(self._rig).items()},
-            np.linspace(from_s, to_s - 0.25, _COVERAGE_MOMENTS),
+            np.linspace(from_s, to_s - 0.25, coverage_moments),
             points,
             seconds_since(self._start_t_ns, [sample.t_ns for sample in points]),
             rate_hz,

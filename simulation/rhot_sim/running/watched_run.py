@@ -26,7 +26,6 @@ from rhot_sim.running.processes import bus_of, service_commands, with_processes
 _START_DELAY_S: Final = 1.0
 _STEADY_FROM_S: Final = 3.0
 """Figures are taken from here on: caches are warm, every filter has started."""
-_SHOW_EVERY_S: Final = 0.5
 _LIVE_WINDOW_S: Final = 2.0
 _LINE_EVERY_S: Final = 5.0
 
@@ -181,4 +180,5 @@ class WatchedRun(ABC):
                 next_line_s += _LINE_EVERY_S
             elif elapsed_s < next_line_s - _LINE_EVERY_S:
                 next_line_s = _LINE_EVERY_S  # another session was started
-            await asyncio.sleep(min(_SHOW_EVERY_S, max(0.0, self._duration_s - self._elapsed_s())))
+            show_every_s = 0.5
+            await asyncio.sleep(min(show_every_s, max(0.0, self._duration_s - self._elapsed_s())))

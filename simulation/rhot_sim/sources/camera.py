@@ -31,8 +31,6 @@ from rhot_sim.rendering.render_process import AHEAD, BATCH, RenderProcess
 
 _WINDOW: Final = 60
 """Frames looked at together: a second at 60 Hz."""
-_TOO_MANY: Final = 0.2
-"""Share of them that came too late to be drawn; a camera then loses 36 % of all moments."""
 _MOST: Final = 4
 _START: Final = 180
 """Frames after the start that tell nothing: three seconds in which every service loads its modules."""
@@ -68,7 +66,8 @@ class Stride:
         self._looked += 1
         self._late += late
         self._in_time = 0 if late else self._in_time + 1
-        if self._late > _TOO_MANY * _WINDOW and self.value < _MOST:
+        # Share of them that came too late to be drawn; a camera then loses 36 % of all moments.
+        if self._late > 0.2 * _WINDOW and self.value < _MOST:
             self._begin(2 * self.value)
             return True
         if self._looked >= _WINDOW:

@@ -47,7 +47,6 @@ R_UP_RIG.setflags(write=False)
 _STREAM: Final = 42
 _CHUNK: Final = 256
 _MEMORY_S: Final = 0.25 * np.arange(1, 7)
-_RINGING_HZ: Final = 35.0
 _RINGING_S: Final = 0.012
 _GAP_SLOT_S: Final = 10.0
 _NOISES: Final = 10
@@ -227,7 +226,8 @@ class AnkleImu:
         if not len(self._strikes):
             return shaken
         since = np.mod(t[:, None] - self._strikes[:, 0], self._period_s)
-        omega = 2.0 * np.pi * _RINGING_HZ
+        ringing_hz = 35.0
+        omega = 2.0 * np.pi * ringing_hz
         wave = np.exp(-since / _RINGING_S) * np.cos(omega * since + np.arctan(1.0 / (omega * _RINGING_S)))
         shaken[:, 1] = self._errors.impact * (wave @ self._strikes[:, 1])
         return shaken

@@ -37,9 +37,7 @@ RIM_SQUARES: Final = 1.0
 _STREAM: Final = 30
 _REGIONS: Final = 9
 _GOLDEN_RAD: Final = np.pi * (3.0 - np.sqrt(5.0))
-_FIT_ROUNDS: Final = 12
 _FIT_MARGIN_PX: Final = 3.0
-_SMALLER: Final = 1.12
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +127,8 @@ class BoardMotion:
         low, high = np.full(2, _FIT_MARGIN_PX), np.array([camera.width, camera.height]) - 1.0 - _FIT_MARGIN_PX
         pixel = target.astype(np.float64)
         T = np.eye(4)
-        for _ in range(_FIT_ROUNDS):
+        fit_rounds = 12
+        for _ in range(fit_rounds):
             ray = np.append(camera.undistort(pixel[None])[0], 1.0)
             T_camera_board = np.eye(4)
             T_camera_board[:3, :3] = R_camera_board
@@ -140,7 +139,8 @@ class BoardMotion:
             if np.abs(over).max() == 0.0:
                 break
             if (np.ptp(seen, axis=0) > high - low).any():
-                distance *= _SMALLER
+                smaller = 1.12
+                distance *= smaller
             pixel = np.clip(pixel - over, low, high)
         return T
 

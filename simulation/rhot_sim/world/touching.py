@@ -46,10 +46,6 @@ _HOLD: Final = 15
 """Knots for which a touch is held; the curve stands still for three less."""
 _TRAVEL: Final = 2
 """Knots off the face, before and after a touch."""
-_TURN: Final = 14
-"""Knots in which the box is turned."""
-_OFF_M: Final = 0.03
-"""How far the tip is taken off a face between touches."""
 _EDGE_M: Final = 0.011
 """Distance of a touch from the edges of its face: more than the finger's radius."""
 _YAW_A_ROUND_RAD: Final = 4.0 * np.pi
@@ -127,7 +123,8 @@ class TouchMotion:
                 rows += self._turned(rows[-1][6], yaw, away)
                 contact, out = self._contact(face, touch, yaw)
                 posture = "top" if face == "top" else "side"
-                near = self._placement(posture, contact + (self._radius_m + _OFF_M) * out)
+                # How far the tip is taken off a face between touches.
+                near = self._placement(posture, contact + (self._radius_m + 0.03) * out)
                 stay(near, yaw, _TRAVEL)
                 stay(self._placement(posture, contact + self._radius_m * out), yaw, _HOLD)
                 stay(near, yaw, _TRAVEL)
@@ -138,7 +135,8 @@ class TouchMotion:
         """Return the controls while the box is turned; none where it stands right."""
         if before == yaw:
             return []
-        shares = np.linspace(0.0, 1.0, _TURN)
+        # Knots in which the box is turned.
+        shares = np.linspace(0.0, 1.0, 14)
         # Never still: a finger that waits beside the box must not look like one that touches it.
         bob = 0.02 * np.sin(2.0 * np.pi * shares)[:, None] * np.array([1.0, 0.0, 0.5, 0.0, 0.0, 0.0])
         return list(np.column_stack([away + bob, before + shares * (yaw - before)]))

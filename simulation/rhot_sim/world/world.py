@@ -49,8 +49,6 @@ _STREAM: Final = 5
 _SIDES: Final[tuple[Side, Side]] = ("right", "left")
 _HEIGHT_M: Final = 0.13
 """Of the hands over the desk; the one that crosses above is higher by `_ABOVE_M`."""
-_ABOVE_M: Final = (0.085, 0.11)
-"""A hand is 30 mm thick, and its bent fingers reach 50 mm below it."""
 _TOUCH_S: Final = (0.5, 4.6)
 _CROSS_S: Final = (5.0, 11.4)
 _LIFT_S: Final = (4.7, 11.7)
@@ -107,7 +105,8 @@ class CrossingMotion:
         t: FloatArray = np.arange(_CYCLE_KNOTS, dtype=np.float64) * KNOT_S
         finger = int(rng.choice(_TOUCHING))
         above = _SIDES[int(rng.integers(2))]
-        lift_m = rng.uniform(*_ABOVE_M)
+        # A hand is 30 mm thick, and its bent fingers reach 50 mm below it.
+        lift_m = rng.uniform(*(0.085, 0.11))
         share = rng.uniform(0.4, 1.1)
         meeting = np.array([rng.uniform(-0.05, 0.05), rng.uniform(-0.01, 0.05), self._desk_z_m - _HEIGHT_M])
         taps = 0.5 - 0.5 * np.cos(2.0 * np.pi * rng.uniform(*_TAP_HZ) * (t - _TOUCH_S[0]))

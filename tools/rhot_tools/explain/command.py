@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
 
 import click
 from rich.console import Console
@@ -24,9 +23,6 @@ from rhot_tools.explain.page import explanation_page
 from rhot_tools.explain.trace import trace_of
 from rhot_tools.recordings.beside import attached_rig, pictures_beside
 from rhot_tools.recordings.span import newest
-
-_DETECTION_LEAD: Final = 30
-"""Pictures before the one to explain: detection uses up to ten previous ones, and searches everywhere every thirty."""
 
 
 def _time(_: click.Context, __: click.Parameter, text: str) -> float:
@@ -120,8 +116,10 @@ def _explained(rig: Rig, pictures: Recording) -> dict[str, PictureExplanation]:
     if not rig.colors_path.exists():
         return {}
     explain_last = load_plugin("rhot.explainers", "capture", "explaining pictures", "capture")
+    # Pictures before the one to explain: detection uses up to ten previous ones, and searches everywhere every
+    # thirty.
     return {
-        name: explain_last(rig, newest(track, _DETECTION_LEAD + 1))
+        name: explain_last(rig, newest(track, 30 + 1))
         for name, track in pictures.cameras.items()
         if name in rig.cameras and isinstance(track, PictureTrack | VideoTrack)
     }

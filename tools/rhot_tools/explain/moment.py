@@ -16,8 +16,6 @@ M = TypeVar("M", bound=Message)
 
 _LATEST_ARRIVAL_NS: Final = 1_000_000_000
 """Messages may have been recorded up to this long after their `t_ns`."""
-_ABSOLUTE_NS: Final = 10**15
-"""Times from here on are nanoseconds since 1970."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +108,8 @@ def _up_to(pictures: Recording, t_ns: int, lead_s: float) -> Recording | None:
 
 
 def _absolute(at: float, first_ns: int) -> int:
-    return int(at) if at >= _ABSOLUTE_NS else first_ns + round(at * 1e9)
+    # Times from here on are nanoseconds since 1970.
+    return int(at) if at >= (10**15) else first_ns + round(at * 1e9)
 
 
 def _messages(

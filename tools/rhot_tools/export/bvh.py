@@ -31,8 +31,6 @@ RIG_TO_FILE: Final = np.diag([1.0, -1.0, -1.0])
 RIG_TO_FILE.setflags(write=False)
 STAGE_TO_FILE: Final = np.eye(3)
 STAGE_TO_FILE.setflags(write=False)
-_LEAF_END_CM: Final = (0.0, 0.0, -2.0)
-"""The palm and rigid things have no child; an end site gives the bone a length to be drawn with."""
 _ROTATIONS: Final = "Zrotation Yrotation Xrotation"
 
 
@@ -87,7 +85,8 @@ def _describe(motion: SkeletonMotion, joint: int, depth: int, lines: list[str], 
     for child in children:
         _describe(motion, child, depth + 1, lines, order)
     if not children:
-        _end_site(np.array(_LEAF_END_CM), depth + 1, lines)
+        # The palm and rigid things have no child; an end site gives the bone a length to be drawn with.
+        _end_site(np.array((0.0, 0.0, -2.0)), depth + 1, lines)
     lines.append(f"{indent}}}")
 
 

@@ -141,11 +141,6 @@ _UNSIGNED_BYTE: Final = 5121
 _UNSIGNED_SHORT: Final = 5123
 _UNSIGNED_INT: Final = 5125
 _COMPONENTS: Final = {"f4": _FLOAT, "u1": _UNSIGNED_BYTE, "u2": _UNSIGNED_SHORT, "u4": _UNSIGNED_INT}
-_VERTICES: Final = 34962
-_INDICES: Final = 34963
-_GLB_MAGIC: Final = 0x46546C67
-_JSON_CHUNK: Final = 0x4E4F534A
-_BINARY_CHUNK: Final = 0x004E4942
 
 
 class Document:
@@ -194,11 +189,13 @@ class Document:
 
     def vertices(self, values: NDArray[Any], shape: str, *, bounds: bool = False) -> int:
         """Append what belongs to the vertices of a mesh; see `accessor`."""
-        return self.accessor(values, shape, bounds=bounds, target=_VERTICES)
+        vertices = 34962
+        return self.accessor(values, shape, bounds=bounds, target=vertices)
 
     def indices(self, values: NDArray[Any]) -> int:
         """Append the corners of triangles, (N,)."""
-        return self.accessor(np.asarray(values, np.uint32).reshape(-1), "SCALAR", target=_INDICES)
+        indices = 34963
+        return self.accessor(np.asarray(values, np.uint32).reshape(-1), "SCALAR", target=indices)
 
     def text(self) -> str:
         """Return the document as one JSON file, the buffer inside it."""
@@ -210,10 +207,13 @@ class Document:
         head = json.dumps(self._whole(None), allow_nan=False).encode()
         head += b" " * (-len(head) % 4)
         body = bytes(self._buffer) + bytes(-len(self._buffer) % 4)
-        chunks = struct.pack("<II", len(head), _JSON_CHUNK) + head
+        json_chunk = 0x4E4F534A
+        chunks = struct.pack("<II", len(head), json_chunk) + head
         if body:
-            chunks += struct.pack("<II", len(body), _BINARY_CHUNK) + body
-        return struct.pack("<III", _GLB_MAGIC, 2, 12 + len(chunks)) + chunks
+            binary_chunk = 0x004E4942
+            chunks += struct.pack("<II", len(body), binary_chunk) + body
+        glb_magic = 0x46546C67
+        return struct.pack("<III", glb_magic, 2, 12 + len(chunks)) + chunks
 
     def _whole(self, uri: str | None) -> dict[str, Any]:
         buffer: dict[str, Any] = {"byteLength": len(self._buffer)}

@@ -22,9 +22,6 @@ HAND_PARENTS: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.
 """(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""
 _MOST_FRAMES: Final = 5_000_000
 """Of a file with a steady rate: a day at 60 Hz."""
-_FRAME_SLACK: Final = 0.01
-"""Share of a frame by which the last one may lie behind the last pose: times are rounded to nanoseconds, which adds up
-to 0.007 frames in an hour at 60 Hz."""
 _LIMB_RADIUS_M: Final = 0.03
 """Of a body's joints where they are drawn; their messages carry none."""
 
@@ -141,7 +138,9 @@ def frame_times_s(end_s: float, rate_hz: float) -> FloatArray:
     Raises:
         ConfigError: there would be more than a file is made of, as where one pose has a time of another year.
     """
-    count = int(end_s * rate_hz + _FRAME_SLACK) + 1
+    # Share of a frame by which the last one may lie behind the last pose: times are rounded to nanoseconds, which
+    # adds up to 0.007 frames in an hour at 60 Hz.
+    count = int(end_s * rate_hz + 0.01) + 1
     if count > _MOST_FRAMES:
         raise ConfigError(
             f"the poses lie {end_s / 3600:.1f} h apart, {count} frames at {rate_hz:.1f} Hz; {_MOST_FRAMES} are the "

@@ -24,7 +24,6 @@ _MEASURED: Final = (42, 157, 143)
 _PREDICTED: Final = (233, 140, 42)
 _POINT_M: Final = 0.005
 _BONE_M: Final = 0.002
-_PLANE_M: Final = 0.1
 
 
 def write_rerun(
@@ -63,11 +62,12 @@ def _write(
     for name, camera in cameras.items():
         T = np.array(camera.T_rig_camera)
         stream.log(f"rig/{name}", rerun.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=True)
+        plane_m = 0.1
         lens = rerun.Pinhole(
             image_from_camera=np.array(camera.K),
             resolution=[camera.width, camera.height],
             camera_xyz=rerun.ViewCoordinates.RDF,
-            image_plane_distance=_PLANE_M,
+            image_plane_distance=plane_m,
         )
         stream.log(f"rig/{name}/image", lens, static=True)
     count = 0

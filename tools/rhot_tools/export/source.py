@@ -19,10 +19,6 @@ from rhot.recording.mcap.wire_models import model_of_key
 
 _KEY: Final = re.compile(r"rhot(/[A-Za-z0-9_.-]{1,64}){1,3}")
 """Keys of ours. Tables, files and joints are named after them, so that none may act on a terminal or a file system."""
-_LONGEST_PAUSE_NS: Final = 10_000_000_000
-"""Between two parts of one recording: a recorder begins the next file within a second. Chosen."""
-_LONGEST_OVERLAP_NS: Final = 500_000_000
-"""By which times may go back from one part to the next: keys arrive later than each other by less."""
 
 
 class RecordedMessages:
@@ -120,7 +116,9 @@ def joined_parts(files: Sequence[Path]) -> list[RecordedMessages]:
     for before, after in pairwise(parts):
         end_ns, start_ns = before.span_ns()[1], after.span_ns()[0]
         apart_s = 1e-9 * (start_ns - end_ns)
-        if not -_LONGEST_OVERLAP_NS <= start_ns - end_ns <= _LONGEST_PAUSE_NS:
+        # Between two parts of one recording: a recorder begins the next file within a second. Chosen.
+        # By which times may go back from one part to the next: keys arrive later than each other by less.
+        if not -500_000_000 <= start_ns - end_ns <= 10_000_000_000:
             how = f"begins {apart_s:.1f} s after the end" if apart_s > 0 else f"begins {-apart_s:.1f} s before the end"
             raise ConfigError(
                 f"--join: {after.path} {how} of {before.path}: not parts of one recording; export each alone"

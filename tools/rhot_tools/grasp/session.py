@@ -19,7 +19,6 @@ from rhot_tools.export.skeleton_motion import rotations_between
 TIPS = tuple(JOINTS.index(f"{finger}_tip") for finger in FINGERS)
 """Of the five fingers, in the order of `FINGERS`, thumb first."""
 PALM = JOINTS.index("palm")
-_LEAST_POSES = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +79,8 @@ def grasp_session(
             "under [objects.NAME] of rig.toml before the next recording"
         )
     inside = (hand_motion.t_ns >= object_motion.t_ns[0]) & (hand_motion.t_ns <= object_motion.t_ns[-1])
-    if int(inside.sum()) < _LEAST_POSES:
+    least_poses = 10
+    if int(inside.sum()) < least_poses:
         raise ConfigError(
             f"{hand_motion.name} and {object_motion.name} were there together in {int(inside.sum())} poses only"
         )

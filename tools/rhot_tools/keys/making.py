@@ -48,7 +48,6 @@ _BEGIN: Final = dt.datetime(2020, 1, 1, tzinfo=dt.UTC)
 _EARLIEST: Final = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
 """Before this program was made."""
 _YEARS: Final = 10
-_AUTHORITY_YEARS: Final = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +63,8 @@ def new_authority(rig: str) -> Pair:
     """Return a new authority that signs for one rig."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = _name(f"RHOT rig {rig}"[:64])
-    end = _years_from_now(_AUTHORITY_YEARS)
+    authority_years = 20
+    end = _years_from_now(authority_years)
     certificate = (
         _builder(name, name, key.public_key(), end)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)

@@ -7,15 +7,12 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 from rhot.errors import RhotError
 from rhot.keys import AUTHORITY, ROLES_FILE, certificate_file, load_roles
 from rhot.rig import Rig
 from rhot.text import as_argument
-
-_WARN_DAYS: Final = 90
-"""Before a certificate ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +81,8 @@ def _check_keys(rig: Rig) -> Iterator[Finding]:
         if camera not in cameras:
             remedy = f"rhot keys add camera-{camera} --role camera --camera {camera} --rig {as_argument(rig.path)}"
             yield Finding("bad", f"camera {camera} has no certificate and cannot take part", remedy)
-    soon = (dt.datetime.now(dt.UTC) + dt.timedelta(days=_WARN_DAYS)).date().isoformat()
+    # Before a certificate ends.
+    soon = (dt.datetime.now(dt.UTC) + dt.timedelta(days=90)).date().isoformat()
     ending = [f"{name} on {holder.expires}" for name, holder in holders.items() if "" < holder.expires < soon]
     if ending:
         yield Finding("warn", f"certificates end: {', '.join(ending)}", "move the folder away and make new ones")

@@ -14,7 +14,6 @@ from rhot.operation.status import fetch_status
 from rhot.service.clock_sync import serve_clock
 
 _START_DELAY_S = 0.2
-_RUNNING_LIMIT_S = 5.0
 
 
 async def rig_clock(bus: Bus) -> Callable[[], int]:
@@ -40,7 +39,8 @@ async def started(bus: Bus, session: str) -> AsyncIterator[None]:
         yield
         return
     await broadcast(bus, "start", session, _START_DELAY_S, 2.0)
-    deadline = time.monotonic() + _RUNNING_LIMIT_S
+    running_limit_s = 5.0
+    deadline = time.monotonic() + running_limit_s
     while time.monotonic() < deadline:
         _, statuses = await fetch_status(bus, timeout_s=0.5)
         if all(status.state == "running" and status.session == session for status in statuses.values()):

@@ -17,8 +17,6 @@ from rhot.rig.folder import STAGE_FILE, registration_path
 from rhot.text import as_argument
 from rhot_tools.operate.findings import Finding
 
-_CAMERA_HEIGHTS_M: Final = (0.3, 4.0)
-"""Where a camera can be over the floor: not under a low table, not above a high ceiling."""
 _WORK_HEIGHTS_M: Final = (0.3, 2.2)
 """Where hands work: from the knees of who sits to the reach of who stands."""
 _OVER_DESK_M: Final = (-0.05, 1.2)
@@ -44,7 +42,8 @@ def check_stage(rig: Rig) -> Iterator[Finding]:
 
 
 def _heights(rig: Rig, stage: StageFile, T_stage_rig: FloatArray) -> Iterator[str]:
-    low, high = _CAMERA_HEIGHTS_M
+    # Where a camera can be over the floor: not under a low table, not above a high ceiling.
+    low, high = (0.3, 4.0)
     for name, camera in rig.cameras.items():
         height_m = _height(T_stage_rig, np.array(camera.T_rig_camera)[:3, 3])
         if not low <= height_m <= high:

@@ -19,8 +19,6 @@ _AUTO_WAIT_S = 3600.0
 _LOOKS = 3
 _LOOK_S = 1.0
 """Services ask for the start signal every two seconds: one that joined before has told the others by then."""
-_HEARD_S = 3.0
-"""A service takes a start or stop as it arrives; on a busy machine it may answer late."""
 
 
 async def _control(
@@ -35,7 +33,8 @@ async def _control(
         sent = await broadcast(bus, action, session, delay_s, wait_s)
         alive = sorted({reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive()})
         # A camera's certificate does not even show who is there.
-        if (alive or config.tls) and not await followers(bus, sent, _HEARD_S):
+        # A service takes a start or stop as it arrives; on a busy machine it may answer late.
+        if (alive or config.tls) and not await followers(bus, sent, 3.0):
             raise BusError(
                 f"{action} was sent, but no service took it; on a secured bus only an operator may start and stop "
                 "(`rhot keys list` names the roles, RHOT_IDENTITY chooses a certificate)"

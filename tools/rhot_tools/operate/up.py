@@ -21,7 +21,6 @@ from rhot.service.stop import install_stop
 
 logger = logging.getLogger(__name__)
 
-_ROUTER_TRY_S = 0.3
 _RIG_TIMEOUT_S = 20.0
 
 
@@ -110,7 +109,8 @@ async def _start(bus_config: BusConfig) -> None:
 async def _alive(bus_config: BusConfig) -> set[str] | None:
     """Return the services that live on the bus, as `service/instance`; None when no router answers."""
     try:
-        async with await Bus.open(bus_config, timeout_s=_ROUTER_TRY_S) as bus:
+        router_try_s = 0.3
+        async with await Bus.open(bus_config, timeout_s=router_try_s) as bus:
             return {reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive()}
     except BusError:
         return None

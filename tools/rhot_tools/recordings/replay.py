@@ -30,7 +30,6 @@ from rhot_tools.recordings.restamp import Restamp, clock_skew_ns
 _CONNECT_TIMEOUT_S = 2.0
 _PAUSE_S = 5.0
 """From where a pause in a recording is worth a word."""
-_SHOW_S = 0.5
 _SWITCH_S = 0.0005
 
 
@@ -85,7 +84,8 @@ async def _play(
     with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
         try:
             while not playing.done() and not asked.done():
-                await asyncio.wait((playing, asked), timeout=_SHOW_S, return_when=asyncio.FIRST_COMPLETED)
+                show_s = 0.5
+                await asyncio.wait((playing, asked), timeout=show_s, return_when=asyncio.FIRST_COMPLETED)
                 waits_s = figures.waits_s
                 if waits_s < _PAUSE_S:
                     told_s = 0.0

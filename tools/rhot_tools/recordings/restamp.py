@@ -29,7 +29,6 @@ _TIME_FIELDS: Final = frozenset({"t_ns", "start_t_ns"})
 _SKEW_SAMPLES: Final = 500
 _SKEW_SHARE: Final = 5.0
 """Percentile of the delays: the quickest messages tell the clocks apart, a single wrong time does not."""
-_LONGEST_DELAY_NS: Final = 1_000_000_000
 
 
 def clock_skew_ns(samples: Iterable[RecordedSample]) -> int:
@@ -46,7 +45,8 @@ def clock_skew_ns(samples: Iterable[RecordedSample]) -> int:
     if not delays:
         return 0
     least_ns = int(np.percentile(np.array(delays), _SKEW_SHARE, method="lower"))
-    return 0 if 0 <= least_ns < _LONGEST_DELAY_NS else least_ns
+    longest_delay_ns = 1_000_000_000
+    return 0 if 0 <= least_ns < longest_delay_ns else least_ns
 
 
 class Restamp:

@@ -20,7 +20,6 @@ from rhot_tools.rig.depth import DepthRow, calibration_px, disparities, row_at, 
 from rhot_tools.rig.heard import Heard, listen
 
 _HOLD_S: Final = 3.0
-_SPACING_S: Final = 0.1
 _ANSWER_S: Final = 2.0
 _CONNECT_S: Final = 5.0
 
@@ -104,5 +103,6 @@ async def pictures_of(bus_config: BusConfig, cameras: Sequence[str], count: int)
             for name in cameras:
                 replies = await bus.get(f"rhot/preview/{name}?format=png", timeout_s=_ANSWER_S)
                 found[name].append(np.ascontiguousarray(decoded(name, replies)))
-            await asyncio.sleep(_SPACING_S)
+            spacing_s = 0.1
+            await asyncio.sleep(spacing_s)
     return found

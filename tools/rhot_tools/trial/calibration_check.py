@@ -32,17 +32,8 @@ _LENS_ERROR_PX = 0.1
 _LENS_SHARE = 1.0 / 3.0
 """Systematic residuals of a good calibration that resemble a rotation: this many pixels, or this share of the 95th
 percentile at the calibration. Added to the standard deviation of every rotation."""
-_OBSERVED_SD_RAD = np.radians(0.5)
-"""A rotation is observable if its standard deviation is below this."""
-_SIGNIFICANT = 4.0
-"""Standard deviations beyond which a fitted parameter is significant: 1 in 16,000 of normal noise."""
 _BUMPED_RAD, _DRIFTING_RAD = np.radians(0.3), np.radians(0.1)
 """Larger rotations count even if they cause few pixels where the hand was."""
-_ROTATION_SIGMAS = 3.0
-"""Standard deviations that such a rotation must exceed."""
-_NAMED_SHARE = 0.25
-"""A camera is reported as moved if its rotation alone leaves less than this share of the residuals (squared, less
-noise) that the next best camera leaves."""
 _LINE_PRIOR = np.array([100.0, 0.2, 0.2])
 """Prior standard deviations of offset (px) and slopes of the line; wide, only to keep the fit solvable."""
 
@@ -194,20 +185,23 @@ def _report(pair: PairResiduals, fit: LinearFit, quality: Any) -> PairReport:
 
 
 def _is_certain(fit: LinearFit) -> bool:
-    return bool((np.abs(fit.values) > _SIGNIFICANT * fit.sd).any())
+    # Standard deviations beyond which a fitted parameter is significant: 1 in 16,000 of normal noise.
+    return bool((np.abs(fit.values) > 4.0 * fit.sd).any())
 
 
 def _rotation(fit: LinearFit, calibrated_p95_px: float | None) -> CameraRotation:
     lens_px = max(_LENS_ERROR_PX, _LENS_SHARE * (calibrated_p95_px or 0.0))
     sd = np.hypot(fit.sd, lens_px / fit.effect)
-    pitch, yaw, roll = (sd < _OBSERVED_SD_RAD).tolist()
+    # A rotation is observable if its standard deviation is below this.
+    pitch, yaw, roll = (sd < np.radians(0.5)).tolist()
     return CameraRotation(np.degrees(fit.values), np.degrees(sd), (pitch, yaw, roll))
 
 
 def _certain_degrees(rotation: CameraRotation) -> float:
     """Return the largest significant rotation about an observable axis, degrees; 0 = none."""
     sizes = np.abs(rotation.degrees)
-    certain = np.array(rotation.observed) & (sizes > _ROTATION_SIGMAS * rotation.sd_degrees)
+    # Standard deviations that such a rotation must exceed.
+    certain = np.array(rotation.observed) & (sizes > 3.0 * rotation.sd_degrees)
     return float(sizes[certain].max(initial=0.0))
 
 
@@ -230,7 +224,9 @@ def _moved(residuals: Sequence[PairResiduals], fits: Sequence[LinearFit]) -> str
                 moment += (J * fit.weight[:, None]).T @ pair.residual_px
         excess[name] = square - float(moment @ np.linalg.solve(information, moment))
     best, second, *_ = sorted(names, key=lambda name: excess[name])
-    return best if excess[best] < _NAMED_SHARE * excess[second] else ""
+    # A camera is reported as moved if its rotation alone leaves less than this share of the residuals (squared,
+    # less noise) that the next best camera leaves.
+    return best if excess[best] < 0.25 * excess[second] else ""
 
 
 def _rotation_of(camera: str, residuals: Sequence[PairResiduals], fits: Sequence[LinearFit]) -> CameraRotation:

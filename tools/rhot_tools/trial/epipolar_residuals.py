@@ -26,12 +26,6 @@ PRIOR_SD_RAD = np.radians(2.0)
 """Prior of the rotation: a bump turns a camera by a few degrees at most."""
 LEAST_OBSERVATIONS = 50
 """Minimum number of observations to estimate three angles: nearly two seconds of one marker at 30 Hz. Chosen."""
-_LONGEST_GAP = 2.0
-"""No interpolation between observations further apart than this many frame periods."""
-_LARGEST_BEND_PX = 0.3
-"""No linear interpolation where the track's curvature makes its error larger than this."""
-_BLOCK_S = 1.0
-"""Residuals within a block count as one sample for standard deviations: a marker's bias persists for many frames."""
 _CHANGE_BLOCK_S = 0.25
 """Time resolution of a change."""
 _CHANGE_MARGIN = 8
@@ -40,8 +34,6 @@ _ROBUST_STEPS = 20
 """Iterations, half with Huber's weights, half with Tukey's; the fit converges in far fewer."""
 _HUBER, _TUKEY = 1.345, 4.7
 """Tuning constants in standard deviations: 95 % efficiency on normal noise (Holland and Welsch 1977)."""
-_LEAST_SPREAD_PX = 0.1
-"""Lower bound of the noise of a marker's centre; with a smaller one, good observations would become outliers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +121,14 @@ def pair_residuals(
     """
     one, other = cameras[first], cameras[second]
     E = essential_matrix(one, other)
-    bend = _LARGEST_BEND_PX / float(one.K[0, 0])
+    # No linear interpolation where the track's curvature makes its error larger than this.
+    bend = 0.3 / float(one.K[0, 0])
     times, seen, matched = [np.empty(0)], [np.empty((0, 2))], [np.empty((0, 2))]
     for marker, track in tracks[second].items():
         partner = tracks[first].get(marker)
         if partner is not None:
-            xy, valid = interpolate(partner, track.t_s, _LONGEST_GAP * periods_s[first], bend)
+            # No interpolation between observations further apart than this many frame periods.
+            xy, valid = interpolate(partner, track.t_s, 2.0 * periods_s[first], bend)
             times.append(track.t_s[valid])
             seen.append(track.xy[valid])
             matched.append(xy[valid])
@@ -200,7 +194,9 @@ def fit_linear(J: FloatArray, residual_px: FloatArray, t_s: FloatArray, prior_sd
         weighted = J * weight[:, None]
         values = np.asarray(np.linalg.solve(weighted.T @ J + prior, weighted.T @ residual_px), dtype=np.float64)
         remaining = residual_px - J @ values
-        spread = max(1.4826 * float(np.median(np.abs(remaining))), _LEAST_SPREAD_PX)
+        # Lower bound of the noise of a marker's centre; with a smaller one, good observations would become
+        # outliers.
+        spread = max(1.4826 * float(np.median(np.abs(remaining))), 0.1)
         size = np.abs(remaining) / spread
         if step < _ROBUST_STEPS // 2:
             weight = np.minimum(1.0, _HUBER / np.maximum(size, 1e-9))
@@ -213,7 +209,9 @@ def fit_linear(J: FloatArray, residual_px: FloatArray, t_s: FloatArray, prior_sd
     information = slope * (J * weight[:, None]).T @ J / spread**2 + prior
     covariance = np.linalg.inv(information)
     # Sandwich estimator: scatter of the gradient between blocks, because residuals within a block are correlated.
-    blocks = np.floor((t_s - t_s[0]) / _BLOCK_S).astype(np.intp)
+    # Residuals within a block count as one sample for standard deviations: a marker's bias persists for many
+    # frames.
+    blocks = np.floor((t_s - t_s[0]) / 1.0).astype(np.intp)
     score = np.zeros((int(blocks[-1]) + 1, J.shape[1]))
     np.add.at(score, blocks, J * (weight * remaining)[:, None] / spread**2)
     scatter = covariance @ (score.T @ score) @ covariance

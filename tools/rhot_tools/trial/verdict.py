@@ -34,19 +34,8 @@ _COLORS: Final = {"good": "green", "doubtful": "yellow", "not usable": "red"}
 
 LEAST_FRAMES: Final = 60
 """Marker frames below which a trial is too short for a verdict: half a second of two cameras at 60 Hz. Chosen."""
-_UNMEASURED: Final = (0.2, 0.5)
-"""Share of what two cameras saw that became no measured point, beyond which a trial is doubtful, and not usable.
-Rendered and simulated sequences have 0 to 0.1; swapped or moved cameras 0.9 to 1."""
-_FIT_M: Final = (0.006, 0.015)
-"""Median residual of the fingertips that two cameras see. Hands that fit leave 0.5 to 2 mm, the wrong side 28 to 38."""
 _JUMP_M_S: Final = 8.0
 """Speed of a measured point between two samples; a fingertip in a fast tap reaches 3 m/s."""
-_JUMP_M: Final = 0.02
-"""Shorter steps are noise, however soon after one another the samples are."""
-_JUMPS: Final = (0.001, 0.01)
-"""Share of steps that are jumps."""
-_EPIPOLAR: Final = 4.0
-"""Times the limit of a pair's systematic epipolar residual beyond which a trial is not usable."""
 _BEHIND: Final = 0.5
 _SWAP_RATIO: Final = 0.5
 """Cameras are swapped if exchanging them puts most points before them, or leaves less than half the residual."""
@@ -171,7 +160,8 @@ class TrialJudge:
             if 0.0 < elapsed_s <= _STEP_S:
                 step_m = float(np.linalg.norm(position - before))
                 self._steps += 1
-                if step_m > _JUMP_M and step_m > _JUMP_M_S * elapsed_s:
+                # Shorter steps are noise, however soon after one another the samples are.
+                if step_m > 0.02 and step_m > _JUMP_M_S * elapsed_s:
                     self._jumps += 1
                     self._largest_jump_m = max(self._largest_jump_m, step_m)
             self._last[name] = points.t_ns, position
@@ -239,7 +229,9 @@ class TrialJudge:
         coverage = min(measured / visible, 1.0)
         figures.append(("in view", f"{100 * visible / len(names):.1f} %", "of markers, by two cameras, on average"))
         figures.append(("measured", f"{100 * coverage:.1f} %", "of what two cameras saw"))
-        level = _worse(1.0 - coverage, _UNMEASURED)
+        # Share of what two cameras saw that became no measured point, beyond which a trial is doubtful, and
+        # not usable. Rendered and simulated sequences have 0 to 0.1; swapped or moved cameras 0.9 to 1.
+        level = _worse(1.0 - coverage, (0.2, 0.5))
         if level == "good":
             return []
         return [Finding(level, f"only {100 * coverage:.0f} % of what two cameras saw became a measured point")]
@@ -257,7 +249,9 @@ class TrialJudge:
             fit_m, p95_m = (float(np.percentile(hand.residuals_m, share)) for share in (50, 95))
             about = f"median residual of fingertips; 95th percentile {1e3 * p95_m:.1f} mm"
             figures.append((f"{side} hand, fit", f"{1e3 * fit_m:.1f} mm", about))
-            level = _worse(fit_m, _FIT_M)
+            # Median residual of the fingertips that two cameras see. Hands that fit leave 0.5 to 2 mm,
+            # the wrong side 28 to 38.
+            level = _worse(fit_m, (0.006, 0.015))
             if level != "good":
                 told = f"the {side} hand does not fit its markers: {1e3 * fit_m:.0f} mm, 1 to 2 are usual"
                 findings.append(Finding(level, told))
@@ -270,7 +264,8 @@ class TrialJudge:
         share = self._jumps / self._steps if self._steps else 0.0
         about = f"of {self._steps} steps of measured points, over {_JUMP_M_S:g} m/s"
         figures.append(("jumps", str(self._jumps), about))
-        level = _worse(share, _JUMPS)
+        # Share of steps that are jumps.
+        level = _worse(share, (0.001, 0.01))
         if level == "good":
             return []
         return [
@@ -308,7 +303,8 @@ class TrialJudge:
 
 
 def _moved_level(report: CalibrationReport) -> Level:
-    far = any(pair.systematic_px > _EPIPOLAR * pair.limit_px for pair in report.pairs)
+    # Times the limit of a pair's systematic epipolar residual beyond which a trial is not usable.
+    far = any(pair.systematic_px > 4.0 * pair.limit_px for pair in report.pairs)
     return "not usable" if far else "doubtful"
 
 

@@ -14,12 +14,8 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot_bench.thesis.fabrik.chains import ABDUCTION, FLEXION, TWIST, Chains
 
-_LARGEST_STEP_RAD: Final = 0.5
-"""Beyond it the derivatives say little; chosen."""
 _AT_LIMIT_RAD: Final = 1e-9
 """Rounding: an angle this near to its limit is at it."""
-_PATIENCE: Final = 4
-"""Iterations without improvement, each with more damping, before the descent stops."""
 
 
 def descend(
@@ -54,7 +50,8 @@ def descend(
         if held.any():
             step = _step(np.where(held[:, None, :], 0.0, J), gap, damping)
         largest = np.abs(step).max(axis=1, keepdims=True)
-        step = step * np.minimum(1.0, _LARGEST_STEP_RAD / np.maximum(largest, 1e-12))
+        # Beyond it the derivatives say little; chosen.
+        step = step * np.minimum(1.0, 0.5 / np.maximum(largest, 1e-12))
         angles = chains.clamp(_coupled(chains, (flat + step).reshape(count, joints, 3)))
         trial_points, trial_axes = chains.forward(angles)
         trial_gap = goal - trial_points[:, -1]
@@ -68,7 +65,8 @@ def descend(
         axes = np.where(better[:, None, None, None], trial_axes, axes)
         gap = np.where(better[:, None], trial_gap, gap)
         stale = 0 if gained.any() else stale + 1
-        if stale == _PATIENCE:
+        # Iterations without improvement, each with more damping, before the descent stops.
+        if stale == 4:
             break
     return best_angles, best, used
 

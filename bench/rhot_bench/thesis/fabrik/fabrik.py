@@ -27,8 +27,6 @@ from rhot_bench.thesis.fabrik.descent import descend
 _TINY_M: Final = 1e-9
 _STALL: Final = 0.8
 """An iteration that leaves more than this share of the error is not worth another one."""
-_EASED_SHARES: Final = (0.35, 0.65, 0.15)
-"""Poses to start again from when limits stall a chain: shares of the range of each flexion."""
 _LATERAL_DAMPING_M: Final = 0.003
 """Abduction of a chain whose target lies this near to the abduction axis is not determined by it any more."""
 
@@ -87,7 +85,8 @@ def solve(
     if iteration < max_iterations and best.max() > tolerance_m:
         best_angles, best, used = descend(chains, goal, best_angles, tolerance_m, max_iterations - iteration)
         iteration += used
-    for share in _EASED_SHARES:
+    # Poses to start again from when limits stall a chain: shares of the range of each flexion.
+    for share in (0.35, 0.65, 0.15):
         # Limits can hold a chain in a corner that it would have to leave backwards: try from other poses.
         if iteration >= max_iterations or best.max() <= tolerance_m:
             break

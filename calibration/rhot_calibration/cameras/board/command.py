@@ -41,9 +41,6 @@ PAPERS: Final = {
 }
 RULER_MM: Final = 100.0
 MIN_MARGIN_MM: Final = 5.0  # what printers cannot reach
-_RIM_SHARE: Final = 0.3  # least white around the squares, in squares; the finders need some
-_RULER_FOOT_MM: Final = 7.0
-_STACKED_FOOT_MM: Final = 17.0
 _TEXT_WIDTH_MM: Final = 140.0
 _TEXT_MM: Final = 3.2
 
@@ -165,7 +162,8 @@ def pdf_bytes(sheet: Sheet) -> bytes:
 
 
 def _margin(square: float) -> float:
-    return max(_RIM_SHARE * square, MIN_MARGIN_MM)
+    rim_share = 0.3  # least white around the squares, in squares; the finders need some
+    return max(rim_share * square, MIN_MARGIN_MM)
 
 
 def _side_by_side(page_width: float) -> bool:
@@ -175,7 +173,9 @@ def _side_by_side(page_width: float) -> bool:
 
 def _foot(page_width: float) -> float:
     """Return the height of ruler and text with the printer's margin under them."""
-    return (_RULER_FOOT_MM if _side_by_side(page_width) else _STACKED_FOOT_MM) + MIN_MARGIN_MM
+    ruler_foot_mm = 7.0
+    stacked_foot_mm = 17.0
+    return (ruler_foot_mm if _side_by_side(page_width) else stacked_foot_mm) + MIN_MARGIN_MM
 
 
 def _oriented(paper: tuple[float, float], board: Board, square: float) -> tuple[float, float] | None:

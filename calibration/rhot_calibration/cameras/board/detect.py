@@ -84,7 +84,6 @@ _LAYOUT_LIMIT: Final = 0.25  # RMS distance of the markers from where the board 
 _SIZED_MARKERS: Final = 5
 """Markers whose middles give a homography with something to spare."""
 _NEAR_COUNTS: Final = 2
-_MAX_CHARUCO_COLUMNS: Final = 24
 
 
 def detect_board(gray: GrayImage, board: Board) -> BoardView | None:
@@ -236,7 +235,8 @@ def _charuco_count(gray: GrayImage, board: Board) -> tuple[int, int] | None:
         return None
     available = len(aruco_dictionary(board).bytesList)
     best, least = None, _LAYOUT_LIMIT
-    for columns in range(MIN_CORNERS, _MAX_CHARUCO_COLUMNS + 1):
+    max_charuco_columns = 24
+    for columns in range(MIN_CORNERS, max_charuco_columns + 1):
         squares_down = -(-2 * (max(markers) + 1) // (columns + 1))
         rows = max(squares_down - 1, MIN_CORNERS)
         if columns == board.columns:

@@ -22,12 +22,9 @@ WORKING_SIDE_PX: Final = 1600  # the finder takes seconds on larger pictures; co
 # Half a window of cornerSubPix as a share of the shortest distance between corners. Measured on drawn boards with
 # blur and noise: 0.2 leaves 0.10 px RMS, 0.3 leaves 0.07 px; on the bowed real board the scatter grows from 0.35 on.
 _WINDOW_SHARE: Final = 0.3
-_MIN_WINDOW_PX: Final = 3
-_MAX_WINDOW_PX: Final = 15
 _REFINING: Final = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 
 _MIN_CONTRAST: Final = 8.0  # grey levels between a dark and a light square
-_ALTERNATING: Final = 0.9
 # Mean of the squares' colours against the pattern, 1 = as a board; the rim may lie under the fingers that hold it.
 _CONTINUES: Final = 0.6
 _RIM: Final = 0.4
@@ -81,12 +78,15 @@ def _alternates(gray: GrayImage, grid: FloatArray) -> bool:
         [(sign[:, :-1] * np.diff(values, axis=1)).ravel(), (sign[:-1] * np.diff(values, axis=0)).ravel()]
     )
     right = float((np.sign(np.median(steps)) * steps > _MIN_CONTRAST).mean())
-    return right >= _ALTERNATING
+    alternating = 0.9
+    return right >= alternating
 
 
 def refine(gray: GrayImage, grid: FloatArray) -> FloatArray:
     """Return a grid refined to a fraction of a pixel; the window follows the size of the squares."""
-    half = int(np.clip(_WINDOW_SHARE * spacing_px(grid), _MIN_WINDOW_PX, _MAX_WINDOW_PX))
+    min_window_px = 3
+    max_window_px = 15
+    half = int(np.clip(_WINDOW_SHARE * spacing_px(grid), min_window_px, max_window_px))
     start = np.ascontiguousarray(grid.reshape(-1, 1, 2), dtype=np.float32)
     refined = cv2.cornerSubPix(gray, start, (half, half), (-1, -1), _REFINING)
     return np.asarray(refined, dtype=np.float64).reshape(grid.shape)

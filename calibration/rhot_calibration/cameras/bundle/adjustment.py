@@ -36,7 +36,6 @@ from rhot_calibration.cameras.solve.views import Board, BoardView
 
 HUBER = 2.5
 """Residuals above so many σ weigh less."""
-_SMALLEST_SIGMA_PX = 1e-3
 
 
 class BundleEquations:
@@ -74,7 +73,8 @@ class BundleEquations:
         coordinates = 2.0 * float(np.sum(weights[self._observations.seen]))
         # Released corners are held by their prior too; as free parameters they count for part of their number.
         free = self.size - int(np.count_nonzero(self._held))
-        return max(float(np.sqrt(squares / max(coordinates - free, 0.1 * coordinates, 1.0))), _SMALLEST_SIGMA_PX)
+        smallest_sigma_px = 1e-3
+        return max(float(np.sqrt(squares / max(coordinates - free, 0.1 * coordinates, 1.0))), smallest_sigma_px)
 
     def cost(self, geometry: Geometry, residuals: FloatArray, sigma: float, robust: bool) -> float:
         """Return what is minimised."""
@@ -292,10 +292,6 @@ LENS_SD: Final = np.array([0.15, 0.15, 0.04, 0.04, 0.5, 0.7, 0.005, 0.005, 0.2])
 """Standard deviations of what lenses are like: focal lengths and centre as shares of the width, then coefficients."""
 _ASPECT_SD: Final = 0.001
 """Pixels are square to about this share."""
-_PRINT_SHARE: Final = 0.01
-"""A printed corner lies this share of a square beside its place, standard deviation …"""
-_BOW_SHARE: Final = 0.02
-"""… and this share of the board's diagonal above or below the plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,5 +426,7 @@ def _prior(board: Board, start: Geometry, cameras: Sequence[str], widths: Mappin
     if not release:
         return Prior(expected, sd, _ASPECT_SD, board.points, None)
     diagonal = board.square_m * float(np.hypot(board.columns - 1, board.rows - 1))
-    in_plane = _PRINT_SHARE * board.square_m
-    return Prior(expected, sd, _ASPECT_SD, board.points, np.array([in_plane, in_plane, _BOW_SHARE * diagonal]))
+    # A printed corner lies this share of a square beside its place, standard deviation ….
+    in_plane = 0.01 * board.square_m
+    # … and this share of the board's diagonal above or below the plane.
+    return Prior(expected, sd, _ASPECT_SD, board.points, np.array([in_plane, in_plane, 0.02 * diagonal]))

@@ -14,8 +14,6 @@ from rhot_calibration.cameras.bundle.adjustment import Adjusted
 
 _LEAST: Final = 3
 """Pictures needed before and after."""
-_CERTAIN: Final = 6.0
-"""The step has to be so many times as large as chance would make it."""
 _SMALLEST_ANGLE_RAD: Final = float(np.radians(0.15))
 _SMALLEST_SHIFT_M: Final = 0.0015
 _NOISE: Final = np.repeat((np.radians(0.01), 1e-4), 3)
@@ -73,7 +71,8 @@ def find_bump(first: Adjusted, second: Adjusted) -> Bump | None:
     step = np.median(steps[split:], axis=0) - np.median(steps[:split], axis=0)
     certainty = np.abs(step) / (noise * np.sqrt(1.0 / split + 1.0 / (len(numbers) - split)))
     large = np.abs(step) > np.repeat((_SMALLEST_ANGLE_RAD, _SMALLEST_SHIFT_M), 3)
-    if not (large & (certainty > _CERTAIN)).any():
+    # The step has to be so many times as large as chance would make it.
+    if not (large & (certainty > 6.0)).any():
         return None
     return Bump(
         last_before=numbers[split - 1],

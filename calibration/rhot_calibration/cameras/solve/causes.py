@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -17,12 +17,6 @@ from rhot_calibration.cameras.solve.solve import Solution
 from rhot_calibration.cameras.solve.views import Board, ViewSet
 
 Kind = Literal["misread", "unfit", "mirrored", "exchanged", "size", "moved"]
-
-_FITS_TIMES: Final = 4.0
-"""A mistake explains a contradiction when undoing it brings the RMS below so many times that of the good pictures."""
-_FITS_PX: Final = 0.6
-_SAME_SIZE: Final = 0.02
-_MISREAD_TIMES: Final = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +41,8 @@ def unfit_cause(board: Board, solution: Solution, views: ViewSet, key: Key) -> C
         return Cause("unfit", (key,), "does not fit its own camera at all: not this board")
     distance = np.linalg.norm(alone.bundle.residuals[0][alone.observations.seen[0]], axis=1)
     usual = max(float(np.median(distance)), solution.adjusted.bundle.sigma_px)
-    wrong = distance > max(_MISREAD_TIMES * solution.adjusted.bundle.sigma_px, 4.0 * usual)
+    misread_times = 8.0
+    wrong = distance > max(misread_times * solution.adjusted.bundle.sigma_px, 4.0 * usual)
     if 0 < wrong.sum() <= 0.25 * len(distance):
         text = f"{int(wrong.sum())} of its {len(distance)} corners were misread, by up to {distance.max():.1f} px"
         return Cause("misread", (key,), text)
@@ -61,7 +56,10 @@ def contradiction_cause(board: Board, solution: Solution, views: ViewSet, number
     adjusted, widths = solution.adjusted, _widths(views)
     members = {key: solution.views[key] for key in solution.split if key[1] == number}
     keys = tuple(members)
-    limit = max(_FITS_TIMES * float(np.median(list(adjusted.rms_px.values()))), _FITS_PX)
+    # A mistake explains a contradiction when undoing it brings the RMS below so many times that of the good
+    # pictures.
+    fits_px = 0.6
+    limit = max(4.0 * float(np.median(list(adjusted.rms_px.values()))), fits_px)
     for key in keys:
         changed = {**members, key: mirrored(board, members[key], widths[key[0]])}
         if _rms(fit_together(board, adjusted, changed, widths)) < limit:
@@ -76,7 +74,8 @@ def contradiction_cause(board: Board, solution: Solution, views: ViewSet, number
         return Cause("unfit", keys, "they do not fit their cameras: not this board")
     first, last = (fit.T_rig_board((number, "")) for fit in places if fit is not None)
     scale = _size(adjusted, keys[0], keys[-1], first, last)
-    other_size = abs(scale - 1.0) > _SAME_SIZE and 0.2 < scale < 5.0
+    same_size = 0.02
+    other_size = abs(scale - 1.0) > same_size and 0.2 < scale < 5.0
     if other_size and _rms(fit_together(board, adjusted, members, widths, scale)) < limit:
         return Cause("size", keys, f"they show a board {scale:.2f} times as large")
     motion = last @ inverse(first)

@@ -22,9 +22,6 @@ from rhot_calibration.cameras.solve.placement import (
 )
 from rhot_calibration.cameras.solve.views import Board, BoardView
 
-_SHAPE_VIEWS = 8
-"""So many views of (nearly) the whole board let its shape be estimated together with a lens."""
-
 
 @dataclass(frozen=True, slots=True)
 class Placement:
@@ -64,7 +61,8 @@ def single_camera(board: Board, views: Mapping[Key, BoardView], lens: FloatArray
     widths = {camera: width}
     adjusted = adjust_views(board, usable, place_of, {camera: lens}, {camera: np.eye(4)}, at, widths)
     whole = sum(len(view.ids) > 0.8 * board.columns * board.rows for view in usable.values())
-    if whole < _SHAPE_VIEWS:
+    # So many views of (nearly) the whole board let its shape be estimated together with a lens.
+    if whole < 8:
         return adjusted
     start = {place: adjusted.T_rig_board(place) for place in adjusted.places}
     return adjust_views(

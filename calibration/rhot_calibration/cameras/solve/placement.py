@@ -21,10 +21,6 @@ from rhot_calibration.cameras.bundle.lens import camera_matrix
 
 Key = tuple[str, int]
 
-_SECOND_BEST = 4.0
-"""The second pose of a plane is kept when its error is at most so many times the first's …"""
-_SECOND_ERROR_PX = 1.0
-"""… or below this."""
 AGREE_ANGLE_RAD = float(np.radians(1.5))
 """Relative poses of two cameras from two pictures agree within this angle before the adjustment …"""
 AGREE_SHARE = 0.025
@@ -86,11 +82,9 @@ def pose_candidates(points: FloatArray, corners: FloatArray, lens: FloatArray) -
         if np.isfinite(T).all() and (flat @ T[2, :3] + T[2, 3]).min() > 0.0:
             found.append(Candidate(T, float(error)))
     found.sort(key=lambda each: each.error_px)
-    return [
-        each
-        for each in found
-        if each.error_px <= max(_SECOND_BEST * found[0].error_px, _SECOND_ERROR_PX) or each is found[0]
-    ]
+    # The second pose of a plane is kept when its error is at most so many times the first's ….
+    # … or below this.
+    return [each for each in found if each.error_px <= max(4.0 * found[0].error_px, 1.0) or each is found[0]]
 
 
 def agree(first: FloatArray, second: FloatArray, distance_m: float) -> bool:

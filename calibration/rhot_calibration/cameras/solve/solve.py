@@ -26,8 +26,6 @@ _ROUNDS: Final = 6
 _BAD_TIMES: Final = 3.0
 _BAD_PX: Final = 0.2
 """A view is bad when its RMS is above so many times the median of all, and this much above it."""
-_BETTER_SHAPE: Final = 0.90
-"""The board counts as bent when releasing its shape brings the residuals below this share."""
 
 Progress = Callable[[str], None]
 
@@ -170,7 +168,8 @@ def _refine(
     if release:
         progress("comparing with a flat board")
         flat = adjust_views(board, work.views, work.place_of, lenses, cameras, work.boards, widths)
-        if adjusted.bundle.sigma_px > _BETTER_SHAPE * flat.bundle.sigma_px:
+        # The board counts as bent when releasing its shape brings the residuals below this share.
+        if adjusted.bundle.sigma_px > 0.90 * flat.bundle.sigma_px:
             adjusted = flat
     split = tuple(key for key in work.views if len(_places_of(key[1], work)) > 1)
     return Solution(

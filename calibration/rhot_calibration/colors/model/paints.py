@@ -44,11 +44,9 @@ TYPICAL_SKIN: Final[RgbColor] = (205, 168, 132)
 _GREY: Final = 0.35
 """A pixel is grey when ln(R/G) and ln(B/G) are smaller than this: cloth, desk or paper in light of any usual tint."""
 _GREY_LEVELS: Final = (30.0, 235.0)
-_LEAST_GREY: Final = 300
 _LEAST_SKIN: Final = 50
 _EXPOSURE: Final = (0.4, 2.0)
 _SATURATION: Final = (0.3, 1.0)
-_LEAST_WEIGHT: Final = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,8 @@ def estimate_illumination(pixels: ClassPixels) -> Illumination:
     grey = rgb[np.all(np.abs(log_ratio(rgb)[:, :2]) < _GREY, axis=1)]
     has_skin = len(pixels.skin) >= _LEAST_SKIN
     skin = np.median(pixels.skin, axis=0) / np.array(TYPICAL_SKIN) if has_skin else np.ones(3)
-    if len(grey) >= _LEAST_GREY:
+    least_grey = 300
+    if len(grey) >= least_grey:
         tint = np.median(grey / grey[:, 1:2], axis=0)
         source = "grey surroundings"
     elif has_skin:
@@ -162,7 +161,8 @@ def _others(colors: ColorsFile, marker: str) -> list[ColorComponent]:
     others = [part for name in colors.markers if name != marker for part in _parts(colors, name)]
     for counter in (colors.skin, colors.background):
         if counter is not None:
-            others += [part for part in counter.components if part.weight >= _LEAST_WEIGHT]
+            least_weight = 0.005
+            others += [part for part in counter.components if part.weight >= least_weight]
     return others
 
 

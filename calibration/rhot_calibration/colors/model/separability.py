@@ -28,9 +28,6 @@ CONFUSABLE: Final = 0.05
 """Where more than this share of pixels changes over, a warning names the pair."""
 
 _DRAWN: Final = 8_000
-_MARGIN_PIXELS: Final = 1_500
-_MARGIN_STEP: Final = 0.01
-_MARGIN_STEPS: Final = 50
 _SEED: Final = 1
 
 
@@ -192,7 +189,8 @@ def _margins(
     margins = np.full((len(names), len(classes)), np.nan)
     label = {name: number for number, name in enumerate(table.names, start=1)}
     for row, name in enumerate(names):
-        own = pixels[name][:: max(1, len(pixels[name]) // _MARGIN_PIXELS)]
+        margin_pixels = 1_500
+        own = pixels[name][:: max(1, len(pixels[name]) // margin_pixels)]
         for column, other in enumerate(classes):
             parts = _parts(colors, other)
             if row == column or not parts:
@@ -207,8 +205,10 @@ def _drift(own: FloatArray, towards: Sequence[ColorComponent], table: ColorTable
     offsets = np.array([part.mean() - mean for part in towards])
     offset = offsets[np.abs(offsets / (1.0, 1.0, 3.0)).max(axis=1).argmin(), :2]
     direction = offset / max(float(np.abs(offset).max()), 1e-9)
-    for step in range(_MARGIN_STEPS + 1):
-        drift = step * _MARGIN_STEP
+    margin_steps = 50
+    for step in range(margin_steps + 1):
+        margin_step = 0.01
+        drift = step * margin_step
         gains = np.exp(np.log1p(drift) * np.array([direction[0], 0.0, direction[1]]))
         if np.mean(labels_of(table, np.clip(own * gains, 0.0, 255.0)) == label) > CONFUSABLE:
             return drift

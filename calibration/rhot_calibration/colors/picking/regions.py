@@ -32,9 +32,6 @@ _LIMIT: Final = 3.0
 _ROUNDS: Final = 6
 _LEAST_SHARE: Final = 0.1
 """A marker fills at least this share of its rectangle."""
-_STANDS_OUT: Final = 2.0
-"""Logarithm of how much rarer a colour must be around the rectangle than evenly spread colours would be."""
-_EVEN_DENSITY: Final = 0.0
 
 
 def box_region(features: FloatArray, box: Box, others: BoolArray) -> BoolArray:
@@ -83,7 +80,9 @@ def _dominant(inside: FloatArray, around: FloatArray) -> BoolArray:
     flat = inside.reshape(-1, 3)
     reference = GaussianColor(components=tuple(fit_mixture(around, _BOXES_SURROUNDINGS, COUNTER_FLOOR)))
     surroundings, _ = mixture_fit(reference, flat)
-    candidates = flat[surroundings < _EVEN_DENSITY - _STANDS_OUT]
+    # Logarithm of how much rarer a colour must be around the rectangle than evenly spread colours would be.
+    even_density = 0.0
+    candidates = flat[surroundings < even_density - 2.0]
     if len(candidates) < _LEAST_SHARE * len(flat):
         return np.zeros(shape, bool)
     own = candidates[_near(candidates, _mode(candidates))]
@@ -143,16 +142,7 @@ _LEAST_DENSITY: Final = -12.0
 _DRIFT: Final = (0.40, 0.40, 0.9)
 """No pixel may lie further than this from the seed's own colour in log-ratio space, however the region drifts."""
 _BINS: Final = (0.06, 0.06, 0.30)
-_DISTANCE_WEIGHT: Final = 1.2
-_GROW_FLOOR: Final = (0.045, 0.045, 0.15)
-_GROW_LIMIT: Final = 3.0
-_GROW_ROUNDS: Final = 8
-_MIN_FIT_PIXELS: Final = 20
 _SURROUNDINGS: Final = 10
-_CLEARANCE_PX: Final = 25
-
-_MAX_SHARE: Final = 0.08
-"""A marker does not fill more of a picture than this; a region that does has leaked into its surroundings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +193,8 @@ def _surroundings_of(place: Place, shape: tuple[int, ...]) -> BoolArray:
         corner, size = (round(place.u), round(place.v)), (max(round(place.width), 1), max(round(place.height), 1))
         cv2.rectangle(around, (*corner, *size), 1, cv2.FILLED)
     else:
-        cv2.circle(around, (round(place[0]), round(place[1])), _CLEARANCE_PX, 1, cv2.FILLED)
+        clearance_px = 25
+        cv2.circle(around, (round(place[0]), round(place[1])), clearance_px, 1, cv2.FILLED)
     return around > 0
 
 
@@ -273,7 +264,9 @@ def grow(picture: PickImage, u: float, v: float) -> BoolArray:
         view = _View(features, picture.commonness[window], density.reshape(features.shape[:2]))
         best, best_worth = np.zeros(view.density.shape, bool), -np.inf
         for seed in _seeds(view, u - left, v - top):
-            region = _grow_from(view, seed, _MAX_SHARE * whole.size)
+            # A marker does not fill more of a picture than this; a region that does has leaked into its
+            # surroundings.
+            region = _grow_from(view, seed, 0.08 * whole.size)
             worth = _worth(view, region, u - left, v - top)
             if worth > best_worth:
                 best, best_worth = region, worth
@@ -293,7 +286,8 @@ def _seeds(view: _View, u: float, v: float) -> list[tuple[int, int]]:
     patch_commonness = cv2.dilate(view.commonness, np.ones((size, size), np.uint8))
     rows, columns = np.mgrid[: patch_commonness.shape[0], : patch_commonness.shape[1]]
     away = np.hypot(columns - u, rows - v) / SEARCH_PX
-    cost = patch_commonness + _DISTANCE_WEIGHT * away**2
+    distance_weight = 1.2
+    cost = patch_commonness + distance_weight * away**2
     cost[away > 1.0] = np.inf
     height, width = patch_commonness.shape
     around = [(0, 0), (_AROUND_PX, 0), (-_AROUND_PX, 0), (0, _AROUND_PX), (0, -_AROUND_PX)]
@@ -334,7 +328,8 @@ def _grow_from(view: _View, seed: tuple[int, int], most_pixels: float) -> BoolAr
     region[rows, columns] = True
     patch = region
     like_seed = np.all(np.abs(view.features - view.features[patch].mean(axis=0)) <= _DRIFT, axis=-1)
-    for _ in range(_GROW_ROUNDS):
+    grow_rounds = 8
+    for _ in range(grow_rounds):
         grown = _grown(view, region, seed, like_seed)
         if np.count_nonzero(grown) > most_pixels:
             # Leaked into the surroundings, and the round before already had begun to.
@@ -347,11 +342,14 @@ def _grow_from(view: _View, seed: tuple[int, int], most_pixels: float) -> BoolAr
 
 def _grown(view: _View, region: BoolArray, seed: tuple[int, int], allowed: BoolArray) -> BoolArray:
     inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    own = inner if np.count_nonzero(inner) >= _MIN_FIT_PIXELS else region
-    color = GaussianColor(components=(fit_component(view.features[own], _GROW_FLOOR),))
+    min_fit_pixels = 20
+    own = inner if np.count_nonzero(inner) >= min_fit_pixels else region
+    grow_floor = (0.045, 0.045, 0.15)
+    color = GaussianColor(components=(fit_component(view.features[own], grow_floor),))
     density, squared = mixture_fit(color, view.features[allowed])
     fits = np.zeros(region.shape, np.uint8)
-    fits[allowed] = (squared <= _GROW_LIMIT**2) & (density > view.density[allowed])
+    grow_limit = 3.0
+    fits[allowed] = (squared <= grow_limit**2) & (density > view.density[allowed])
     opened = cv2.morphologyEx(fits, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     _, labels = cv2.connectedComponents(opened, connectivity=4)
     label = labels[seed[1], seed[0]]

@@ -17,8 +17,6 @@ from rhot_capture.detection.result import Detection
 _WIDTH: Final = 1280
 _OVERLAYS: Final = 4
 _MASK_COLUMNS: Final = 4
-_HEADING: Final = 26
-_DIM: Final = 6
 _FOUND: Final = (80, 255, 80)
 _LEARNT: Final = (255, 255, 255)
 _SHADOW: Final = (0, 0, 0)
@@ -112,7 +110,8 @@ def _mask_tile(
     image = images[number]
     table = tables[number]
     mask = table.classify(image)[0] == table.names.index(name) + 1
-    canvas = image // _DIM
+    dim = 6
+    canvas = image // dim
     canvas[mask] = image[mask]
     width = _WIDTH // min(_MASK_COLUMNS, len(result.markers))
     height = round(width * image.shape[0] / image.shape[1])
@@ -125,7 +124,8 @@ def _mask_tile(
 
 
 def _titled(picture: ImageArray, title: str) -> ImageArray:
-    bar = np.full((_HEADING, picture.shape[1], 3), PAPER, np.uint8)
+    heading = 26
+    bar = np.full((heading, picture.shape[1], 3), PAPER, np.uint8)
     write(bar, title, (8, 18), 0.45, INK)
     return np.concatenate([bar, picture])
 

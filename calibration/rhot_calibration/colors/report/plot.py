@@ -17,12 +17,8 @@ INK: Final = (40, 40, 40)
 PAPER: Final = (255, 255, 255)
 _FAINT: Final = (225, 225, 225)
 _SKIN_INK: Final = (110, 150, 200)
-_BACKGROUND_INK: Final = (170, 170, 170)
-_ALERT: Final = (70, 70, 235)
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
-_DOTS: Final = 350
 _MARGIN_PX: Final = 56
-_ELLIPSE_SIGMAS: Final = 2.0
 
 
 def write(
@@ -62,7 +58,8 @@ def ratio_plot(colors: ColorsFile, pixels: ClassPixels, size: int) -> ImageArray
         for (x, y), rgb in zip(placed(features[name]), own, strict=True):
             if _MARGIN_PX < x < size - _MARGIN_PX and _MARGIN_PX < y < size - _MARGIN_PX:
                 cv2.circle(canvas, (round(x), round(y)), 2, tuple(float(c) for c in rgb[::-1]), cv2.FILLED, cv2.LINE_AA)
-    for counter, ink in ((colors.background, _BACKGROUND_INK), (colors.skin, _SKIN_INK)):
+    background_ink = (170, 170, 170)
+    for counter, ink in ((colors.background, background_ink), (colors.skin, _SKIN_INK)):
         if counter is not None:
             _ellipses(canvas, counter, ink, middle, scale)
     for name in pixels.markers:
@@ -78,7 +75,8 @@ def ratio_plot(colors: ColorsFile, pixels: ClassPixels, size: int) -> ImageArray
 
 def _clouds(pixels: ClassPixels) -> dict[str, FloatArray]:
     clouds = {"background": pixels.others, "skin": pixels.skin, **pixels.markers}
-    return {name: own[:: max(1, len(own) // _DOTS)] for name, own in clouds.items() if len(own)}
+    dots = 350
+    return {name: own[:: max(1, len(own) // dots)] for name, own in clouds.items() if len(own)}
 
 
 def _axes(canvas: ImageArray, middle: FloatArray, span: float, scale: float) -> None:
@@ -110,7 +108,8 @@ def _ellipses(canvas: ImageArray, color: GaussianColor, ink: Sequence[int], midd
     for component in color.components:
         values, vectors = np.linalg.eigh(component.covariance()[:2, :2])
         centre = (component.mean()[:2] - middle) * scale * (1.0, -1.0) + 0.5 * size
-        axes = _ELLIPSE_SIGMAS * np.sqrt(values[::-1]) * scale
+        ellipse_sigmas = 2.0
+        axes = ellipse_sigmas * np.sqrt(values[::-1]) * scale
         angle = -float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
         place, half = (round(centre[0]), round(centre[1])), (max(round(axes[0]), 1), max(round(axes[1]), 1))
         cv2.ellipse(layer, place, half, angle, 0, 360, tuple(ink), 1, cv2.LINE_AA)
@@ -174,6 +173,7 @@ def share_text(share: float) -> str:
 
 def _tint(share: float, own: bool) -> tuple[float, ...]:
     """Green for what is right, red for what is mixed up: full at twice the limit of a warning."""
-    target = np.array((150, 215, 160) if own else _ALERT, np.float64)
+    alert = (70, 70, 235)
+    target = np.array((150, 215, 160) if own else alert, np.float64)
     weight = share if own else min(1.0, share / (2.0 * CONFUSABLE))
     return tuple(float(value) for value in np.array(PAPER) + weight * (target - np.array(PAPER)))

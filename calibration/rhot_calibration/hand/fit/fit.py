@@ -13,8 +13,6 @@ from rhot_calibration.hand.fit.parameters import BONE_SD, PRIOR_SD, TYPED_SD_M, 
 
 Residuals = Callable[[FloatArray], FloatArray]
 
-_MOST_CALLS = 25
-
 
 @dataclass(frozen=True, slots=True)
 class HandFit:
@@ -47,7 +45,8 @@ def fit(evidence: Residuals, parameters: HandParameters, x: FloatArray, typed_le
             believed.append((shape.length - typed_length_m) / TYPED_SD_M)
         return np.concatenate([evidence(trial), believed])
 
-    found = least_squares(residuals, x / PRIOR_SD, xtol=1e-5, ftol=1e-4, max_nfev=_MOST_CALLS)
+    most_calls = 25
+    found = least_squares(residuals, x / PRIOR_SD, xtol=1e-5, ftol=1e-4, max_nfev=most_calls)
     J = np.asarray(found.jac, dtype=np.float64)
     covariance = np.linalg.inv(J.T @ J) * PRIOR_SD * PRIOR_SD[:, None]
     return HandFit(np.asarray(found.x * PRIOR_SD), np.asarray(covariance))

@@ -16,7 +16,6 @@ _SMOOTHING_S: Final = 0.15
 _REACH: Final = 12
 _TWIST: Final = np.array([0.5, -0.5, 0.5, -0.5])
 """The corners of a plane rectangle cannot move along its normal like this: what they do so is noise."""
-_LEAST_CORNER_SIGMA_M: Final = 0.0003
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,8 @@ def palm_rotations(samples: HandSamples, outline: FloatArray, viewpoint: FloatAr
     normal_miss = np.einsum("nki,ni->nk", missed, R[:, :, 1]) @ _TWIST
     seen = np.isfinite(normal_miss)
     sigma_m = 1.4826 * float(np.median(np.abs(normal_miss[seen]))) if seen.any() else np.nan
-    sigma_m = max(sigma_m, _LEAST_CORNER_SIGMA_M)
+    least_corner_sigma_m = 0.0003
+    sigma_m = max(sigma_m, least_corner_sigma_m)
     across, along = np.ptp(outline[:, 0]), np.ptp(outline[:, 2])
     # Depth is the noisy direction, and the patch faces the cameras: it turns most about its own two sides.
     sigma_rad = sigma_m / np.array([along, np.hypot(across, along), across])

@@ -83,10 +83,6 @@ PRIOR_SD.setflags(write=False)
 LENGTHS: Final = slice(0, 10)
 """The parameters that make the model; all others only move things about it."""
 
-_LARGEST_DEVIATION: Final = 5.0
-_SHORTEST_BONE_M: Final = 0.004
-_KEPT_SHAPES: Final = 64
-
 
 @dataclass(frozen=True, slots=True)
 class Shape:
@@ -143,7 +139,8 @@ class HandParameters:
         key = parameters[LENGTHS].tobytes()
         if key not in self._shapes:
             # A derivative moves one parameter at a time: most of them leave the lengths as they are.
-            if len(self._shapes) >= _KEPT_SHAPES:
+            kept_shapes = 64
+            if len(self._shapes) >= kept_shapes:
                 self._shapes.clear()
             self._shapes[key] = self._shape(np.where(np.arange(COUNT) < LENGTHS.stop, parameters, 0.0))
         found = self._shapes[key]
@@ -171,7 +168,8 @@ class HandParameters:
 
     def hand(self, parameters: FloatArray) -> HandFile:
         """Return the hand, without date and quality."""
-        most = _LARGEST_DEVIATION * PRIOR_SD
+        largest_deviation = 5.0
+        most = largest_deviation * PRIOR_SD
         x = np.clip(parameters, -most, most)
         length_m = MEAN_LENGTH_M * float(np.exp(x[LENGTH]))
         scale = length_m / REFERENCE_LENGTH_M / 1000.0
@@ -182,7 +180,8 @@ class HandParameters:
             bones |= {joint: float(length) for joint, length in zip(CHAINS[finger][-3:], lengths, strict=True)}
         for finger, ratio in zip(("index", "ring", "little"), np.exp(x[METACARPALS]), strict=True):
             bones[CHAINS[finger][1]] = METACARPAL_MM[finger] * scale * float(ratio)
-        bones["middle_proximal"] = max(_middle_metacarpal(length_m, bones), _SHORTEST_BONE_M)
+        shortest_bone_m = 0.004
+        bones["middle_proximal"] = max(_middle_metacarpal(length_m, bones), shortest_bone_m)
         hand = HandFile(length_m=length_m, bones_m=bones)
         return hand.model_copy(
             update={

@@ -36,12 +36,8 @@ from rhot_calibration.hand.samples.samples import HandSamples
 
 SIGMA_FLAT_RAD: Final = np.radians([[15.0, 15.0], [6.0, 8.0], [6.0, 4.0], [6.0, 8.0], [6.0, 8.0]])
 """Mean flexion and abduction of the flat hand's fingers; the thumb lies where it likes."""
-_SIGMA_SWAY_RAD: Final = np.radians(4.0)
-"""Abduction of a moment about its mean."""
 _SIGMA_MODEL_M: Final = 0.0003
 """What bending hinges and soft flesh add to a radius from moment to moment."""
-_MOMENT_S: Final = 0.3
-"""Samples closer in time share what the model leaves out."""
 _DEPTH_OVER_LATERAL: Final = 5.0
 _NOISE_FACTOR: Final = 1.25
 """On the noise of points and rotations: what the linearised fit underrates, judged by simulated hands."""
@@ -164,7 +160,8 @@ class StraightFingers:
         forward = tips.radius * np.cos(tips.flexion)
         height = tips.away[..., 1] * self._frame.sigma_rotation_rad[2]
         crowded = crowding(self._frame.seconds[self._chosen.rows])
-        sigma: FloatArray = np.sqrt(((forward * _SIGMA_SWAY_RAD) ** 2 + _SIGMA_MODEL_M**2) * crowded + height**2)
+        # Abduction of a moment about its mean.
+        sigma: FloatArray = np.sqrt(((forward * np.radians(4.0)) ** 2 + _SIGMA_MODEL_M**2) * crowded + height**2)
         return sigma
 
     def _lateral(self, x: FloatArray, tips: Tips) -> FloatArray:
@@ -212,4 +209,5 @@ class FlatDistances:
 
 def crowding(seconds: FloatArray) -> float:
     """Return how many samples fall into one moment that shares what the model leaves out."""
-    return max(1.0, _MOMENT_S / max(float(np.median(np.diff(seconds))), 1e-3)) if len(seconds) > 1 else 1.0
+    # Samples closer in time share what the model leaves out.
+    return max(1.0, 0.3 / max(float(np.median(np.diff(seconds))), 1e-3)) if len(seconds) > 1 else 1.0

@@ -18,7 +18,6 @@ from rhot_calibration.hand.fit.parameters import HandParameters
 FEWEST_SAMPLES: Final = 60
 _SMALLEST_SIGMA_M: Final = 0.0003
 """Points are not believed to be better than this, whatever they say."""
-_SPIKE_M: Final = 0.008
 _NOWHERE: Final = np.full(3, np.nan)
 
 
@@ -102,6 +101,7 @@ def _without_spikes(samples: HandSamples) -> HandSamples:
     """Return the samples without positions that lie far from both the sample before and the one after."""
     points = np.concatenate([samples.tips, samples.base[:, None]], axis=1)
     middle = np.median(np.stack([points[:-2], points[1:-1], points[2:]]), axis=0)
-    spike = np.linalg.norm(points[1:-1] - middle, axis=-1) > _SPIKE_M
+    spike_m = 0.008
+    spike = np.linalg.norm(points[1:-1] - middle, axis=-1) > spike_m
     points[1:-1][spike] = np.nan
     return HandSamples(samples.t_ns, points[:, 5], samples.corners, points[:, :5], samples.sigma_m, samples.began_ns)

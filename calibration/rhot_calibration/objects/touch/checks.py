@@ -24,7 +24,6 @@ _OTHER_SOLUTION_COST = 12.0
 _MOST_LEFT_OUT = 0.2
 _LEAST_ON_FACE = 2
 """So many touches of a face must remain when others of it are left out."""
-_FLESH_NOTED_M = 0.0025
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +97,8 @@ def judged(shape: FacedShape, touches: Sequence[Touch], R_before: FloatArray) ->
 
 def flesh_note(fit: OffsetFit) -> str:
     """Return what a finger that is much thicker or thinner than the hand's model says; empty where it is not."""
-    if abs(fit.flesh_m) < _FLESH_NOTED_M:
+    flesh_noted_m = 0.0025
+    if abs(fit.flesh_m) < flesh_noted_m:
         return ""
     much = f"{1e3 * abs(fit.flesh_m):.1f} mm {'more' if fit.flesh_m > 0 else 'less'}"
     return f"the finger keeps {much} distance than its radius says: do the sizes in rig.toml and hand.json hold?"

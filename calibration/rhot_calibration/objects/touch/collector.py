@@ -22,8 +22,6 @@ _TIP_STILL_M = 0.0015
 tenths of a millimetre, one that hovers drifts by centimetres a second. Of halves, two are alike where it turns back."""
 _ELSEWHERE_M = 0.010
 """A touch nearer to an earlier one of its face is the same finger that has not left yet."""
-_ARM_M = 0.15
-"""A tracker sits on its object or beside it, not further away than this."""
 _NEAR_M = 2.0 * LARGEST_OFF_M
 """Once the offset is known roughly, a finger that is held still further than this from the face does not touch it."""
 
@@ -185,7 +183,8 @@ class TouchCollector:
     def _not_there(self, touch: Touch) -> str:
         """Return how a touch misses its face by what is known of the offset; empty where it does not."""
         fit = self.rough
-        if np.linalg.norm(touch.tip_device) > reach_m(self.shape) + _ARM_M:
+        # A tracker sits on its object or beside it, not further away than this.
+        if np.linalg.norm(touch.tip_device) > reach_m(self.shape) + 0.15:
             return f"{self.asked}: the finger is far from the object"
         if fit is None:
             return ""

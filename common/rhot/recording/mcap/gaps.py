@@ -14,14 +14,6 @@ MOST_ENCODINGS_OF_A_KEY: Final = 3
 """Bounds of one recording, a multiple of what a rig has: ten kinds (second chunks of keys), as many keys of a kind as
 it has cameras or objects, one encoding. MCAP counts channels in 16 bits, 65,535 at most, and whoever reaches the bus
 may invent keys; those of one kind shut out no others."""
-_LONGEST_KEY: Final = 512
-"""Characters; ours have at most 150."""
-_MOST_LOST: Final = 1_000_000
-"""Numbers skipped at once: more than an hour at 240 a second is another publisher with numbers of its own."""
-
-_SILENT_MESSAGES: Final = 32
-"""Messages of others on its key after which a publisher counts as gone. Chosen."""
-_FEWEST_TURNS: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +48,8 @@ class KeyCount:
     @property
     def shared(self) -> bool:
         """Whether two publishers sent at once; one that was started again takes its turn once."""
-        return self.turns >= _FEWEST_TURNS
+        fewest_turns = 4
+        return self.turns >= fewest_turns
 
     def note(self, seq: int | None, size: int) -> None:
         """Count one sample of `size` bytes; `seq` is None where the payload carries no number."""
@@ -65,9 +58,12 @@ class KeyCount:
         if seq is None:
             return
         # The newest first. One that was started again soon sends no more, and is forgotten.
-        known = [each for each in self._publishers if self.messages - each.at <= _SILENT_MESSAGES]
+        # Messages of others on its key after which a publisher counts as gone. Chosen.
+        known = [each for each in self._publishers if self.messages - each.at <= 32]
+        # Numbers skipped at once: more than an hour at 240 a second is another publisher with numbers of its
+        # own.
         sender = max(
-            (each for each in known if 0 < seq - each.seq <= _MOST_LOST), key=lambda each: each.seq, default=None
+            (each for each in known if 0 < seq - each.seq <= 1_000_000), key=lambda each: each.seq, default=None
         )
         if sender is None:
             self.restarts += bool(self._publishers)
@@ -100,7 +96,8 @@ class Tally:
         if known is None:
             kind = key.split("/", 2)[1] if "/" in key else ""
             full = kind not in self._kinds and len(self._kinds) >= MOST_KINDS
-            if full or self._kinds[kind] >= MOST_KEYS_OF_A_KIND or len(key) > _LONGEST_KEY:
+            # Characters; ours have at most 150.
+            if full or self._kinds[kind] >= MOST_KEYS_OF_A_KIND or len(key) > 512:
                 self.left_out += 1
                 return False
             self._kinds[kind] += 1

@@ -30,7 +30,6 @@ ENCODING_METADATA: Final = "encoding"
 RIG_PREFIX: Final = "rig/"
 """Attached files of the rig folder have names that begin with this."""
 _MOST_CHANNELS: Final = (1 << 16) - 1
-_CHUNK_BYTES: Final = 1 << 20
 _MEDIA_TYPES: Final = {".toml": "application/toml", ".json": "application/json"}
 
 
@@ -181,7 +180,8 @@ class McapWriter:
         self.files.append(file)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
-        self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        chunk_bytes = 1 << 20
+        self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)
         with self._failing_clearly():
             self._writer.start(profile="", library=f"rhot/{__version__}")
             self._writer.add_metadata("rhot", self._about)

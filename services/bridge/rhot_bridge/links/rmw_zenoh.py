@@ -42,7 +42,6 @@ _RETRY_S: Final = 5.0
 """Pause before a topic that could not be declared is declared again."""
 _ID_BYTES: Final = 16
 _CLOSE_LIMIT_S: Final = 1.0
-_LOOK_NS: Final = 1_000_000_000
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
@@ -134,7 +133,8 @@ class RmwZenohLink:
         session = self._session
         if session is None:
             return False
-        if now_ns - self._looked_ns >= _LOOK_NS:
+        look_ns = 1_000_000_000
+        if now_ns - self._looked_ns >= look_ns:
             self._looked_ns = now_ns
             there = bool(session.info.routers_zid())
             problem = "" if there else f"the Zenoh router at {self._host} port {self._port} has gone; it is tried again"

@@ -18,8 +18,6 @@ logger = logging.getLogger(__name__)
 
 MOST_READERS: Final = 16
 """Largest number of connected clients; chosen."""
-_MOST_UNSENT_BYTES: Final = 65_536
-"""A client with more unsent bytes, about ten messages, is skipped: it misses messages instead of receiving old ones."""
 _HERE: Final = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 """Origins on this machine. Programs other than browsers send no origin. Any other web page is refused, because it could
 read the poses without the user's knowledge."""
@@ -92,7 +90,9 @@ class WebSocketLink:
 
     def send(self, packets: Sequence[bytes]) -> int:
         """Send messages to all clients that keep up; return how many messages the others missed."""
-        ready = [each for each in self._readers if each.transport.get_write_buffer_size() < _MOST_UNSENT_BYTES]
+        # A client with more unsent bytes, about ten messages, is skipped: it misses messages instead of
+        # receiving old ones.
+        ready = [each for each in self._readers if each.transport.get_write_buffer_size() < 65_536]
         for packet in packets:
             broadcast(ready, packet, text=True)
         return (len(self._readers) - len(ready)) * len(packets)

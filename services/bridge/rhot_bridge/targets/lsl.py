@@ -154,8 +154,6 @@ MOST_STREAMS: Final = 64
 _FIRST_READINGS: Final = 5
 _RETRY_S: Final = 5.0
 """Pause before a stream that could not be opened is opened again; chosen."""
-_BUFFERED: Final = 60
-"""Samples buffered for a recorder that stalls, in hundreds: a minute at 100 Hz, 4 MB for a hand."""
 
 
 @dataclass(slots=True)
@@ -290,4 +288,5 @@ def _outlet(name: str, joints: Sequence[str], axes: Axes) -> Any:
             one.append_child_value(field, getattr(channel, field))
     info.desc().append_child("setup").append_child_value("frame", axes)
     info.desc().append_child("acquisition").append_child_value("manufacturer", "RHOT")
-    return pylsl.StreamOutlet(info, max_buffered=_BUFFERED)
+    # Samples buffered for a recorder that stalls, in hundreds: a minute at 100 Hz, 4 MB for a hand.
+    return pylsl.StreamOutlet(info, max_buffered=60)

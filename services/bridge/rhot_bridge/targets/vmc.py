@@ -33,7 +33,6 @@ _SIDES: Final[tuple[Side, Side]] = ("left", "right")
 _ARMS: Final = {
     side: tuple(f"{side.capitalize()}{name}" for name in ("UpperArm", "LowerArm", "Hand")) for side in _SIDES
 }
-_ROOT: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 class VmcTarget:
@@ -48,7 +47,8 @@ class VmcTarget:
         self._started_ns: int | None = None
         self._ok = Template("/VMC/Ext/OK", 1, floats=0).pack()
         self._time = Template("/VMC/Ext/T", floats=1)
-        self._root = Template("/VMC/Ext/Root/Pos", "root", floats=7).pack(*_ROOT)
+        root = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        self._root = Template("/VMC/Ext/Root/Pos", "root", floats=7).pack(*root)
         self._fingers = {side: Block([_bone(side.capitalize() + name) for name in FINGER_BONES], 7) for side in _SIDES}
         self._bones: dict[str, Template] = {}
         self._trackers: dict[str, Template] = {}

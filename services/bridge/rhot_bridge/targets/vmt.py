@@ -35,9 +35,6 @@ _OFF, _TRACKER = 0, 1
 _CONTROLLER: Final[dict[Side, int]] = {"left": 5, "right": 6}
 _HAND: Final[dict[Side, int]] = {"left": 0, "right": 1}
 _FOOT: Final[dict[Side, int]] = {"left": 2, "right": 3}
-_HIPS: Final = 4
-_FIRST_OBJECT: Final = 10
-_MOST_DEVICES: Final = 58
 _IDENTITY: Final = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 _NOWHERE: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -84,7 +81,8 @@ class VmtTarget:
         for side, foot in scene.feet.items():
             device(_FOOT[side], _TRACKER, foot.positions[0], foot.orientations[0])
         if scene.body is not None and (row := scene.body.row("hips")) is not None:
-            device(_HIPS, _TRACKER, scene.body.positions[row], scene.body.orientations[row])
+            hips = 4
+            device(hips, _TRACKER, scene.body.positions[row], scene.body.orientations[row])
         for name, thing in scene.objects.items():
             if (number := self._number(name, scene)) is not None:
                 device(number, _TRACKER, thing.positions[0], thing.orientations[0])
@@ -105,8 +103,10 @@ class VmtTarget:
     def _number(self, name: str, scene: Scene) -> int | None:
         """Return an object's device; if none is free, that of the oldest absent object, None if all are present."""
         if name not in self._objects:
-            number = _FIRST_OBJECT + len(self._objects)
-            if number >= _MOST_DEVICES:
+            first_object = 10
+            number = first_object + len(self._objects)
+            most_devices = 58
+            if number >= most_devices:
                 gone = next((other for other in self._objects if other not in scene.objects), None)
                 if gone is None:
                     return None

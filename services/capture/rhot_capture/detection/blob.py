@@ -20,8 +20,6 @@ PADDING_PX: Final = 6
 """Margin around a blob's mask: contains its rim and a strip of the surroundings."""
 _MAX_CANDIDATES: Final = 6
 """Largest number of blobs of one colour in one region; the largest blobs are kept. Chosen."""
-_LEAST_PX: Final = 3.0
-"""Smallest area of an outline, square pixels; smaller ones are noise."""
 _MERGE_GAP_RATIO: Final = 0.3
 _MERGE_GAP_MIN_PX: Final = 2.0
 _MERGE_MIN_SHARE: Final = 0.05
@@ -185,7 +183,8 @@ def blobs_of(
     for outline in cast(Sequence[ContourArray], found):
         area = pixel_area(outline)
         enclosed += area
-        if area >= _LEAST_PX:
+        # Smallest area of an outline, square pixels; smaller ones are noise.
+        if area >= 3.0:
             box = cv2.boundingRect(outline)
             cutout = bisect_right(rows, box[1]) - 1
             part = _Part(area, outline, box)

@@ -27,8 +27,6 @@ with seven lights and sizes, the ratio is 0.9 to 160 (median 4) for paint and 0.
 _OFF: Final = 0.4
 """And if that distance is less than this share of the distance between both colours: two paints can be near the first
 limit, but then both are far from any mixture (0.46 for yellow beside green)."""
-_CLOSEST: Final = 20
-"""The distance from mixtures is the quantile 1 / this over the colours of the surroundings, because of noise."""
 _WITHIN_2: Final = np.ones((5, 5), np.uint8)
 
 
@@ -93,7 +91,8 @@ def _off_mixtures(color: FloatArray, paint: FloatArray, around: FloatArray) -> f
     share = (along @ (color - paint)) / np.maximum((along * along).sum(axis=1), 1.0)
     away = paint + np.clip(share, 0.0, 1.0)[:, None] * along - color
     off: FloatArray = np.sqrt((away * away).sum(axis=1))
-    nearest = len(off) // _CLOSEST
+    # The distance from mixtures is the quantile 1 / this over the colours of the surroundings, because of noise.
+    nearest = len(off) // 20
     return float(np.partition(off, nearest)[nearest])
 
 
@@ -105,23 +104,14 @@ MIN_SOLIDITY: Final = 0.5
 """Smallest ratio of a blob's area to that of its convex hull."""
 MIN_FILL: Final = 0.5
 """Smallest share of a blob's pixels with the marker's own colour; holes may be highlights."""
-_TYPICAL_LIKELIHOOD: Final = 0.35
-"""Mean of exp(−d²/2) over samples of a three-dimensional normal distribution: 2^(−3/2)."""
 _TYPICAL_SOLIDITY: Final = 0.85
 """Solidity of a convex blob: a mask of pixels never fills its hull completely; chosen."""
-_MAX_ADJACENCY: Final = 0.4
-"""Largest share of the ring around a blob that a larger blob of another marker may occupy; chosen."""
 _MAX_FAINT_ADJACENCY: Final = 0.1
 """The same for a faint blob: the seam between another paint and skin has mixed colours that belong to neither."""
 _CLING_RATIO: Final = 1.5
 """Ratio of areas from which the other blob is larger; chosen."""
 _LEAST_BESIDE_PX: Final = 4
 """Neighbours are examined if at least this many pixels near a blob belong to other markers."""
-_SLIVER_SCORE: Final = 0.5
-"""Factor on the plausibility of a blob without core; chosen."""
-_LEAST_TYPICAL: Final = 0.5
-"""Smallest number of pixels of typical colour in a faint blob, as a share of the marker's smallest area; with fewer, it
-may be a mixture of two other colours."""
 _BOX_3: Final = np.ones((3, 3), np.uint8)
 
 
@@ -225,7 +215,8 @@ def judge(
     thin = not _has_core(blob, own, own_pixels)
     if thin and not track.continues(*blob.middle):
         return Refusal(blob, "thin", fill)
-    adjacency = _MAX_ADJACENCY
+    # Largest share of the ring around a blob that a larger blob of another marker may occupy; chosen.
+    adjacency = 0.4
     larger = _CLING_RATIO * blob.area
     if faint:
         typical = cv2.countNonZero(cutouts.typical[window] & own)
@@ -233,13 +224,17 @@ def judge(
     if _is_rim(cutouts, blob, label, adjacency, larger):
         return Refusal(blob, "edge", fill)
     if faint:
-        least_typical = _LEAST_TYPICAL * least_px
+        # Smallest number of pixels of typical colour in a faint blob, as a share of the marker's smallest
+        # area; with fewer, it may be a mixture of two other colours.
+        least_typical = 0.5 * least_px
         colour = typical / (typical + least_typical) if typical >= least_typical else 0.0
     else:
-        colour = min(1.0, cv2.mean(cutouts.likelihoods[window], own)[0] / (255.0 * _TYPICAL_LIKELIHOOD))
+        # Mean of exp(−d²/2) over samples of a three-dimensional normal distribution: 2^(−3/2).
+        colour = min(1.0, cv2.mean(cutouts.likelihoods[window], own)[0] / (255.0 * 0.35))
     size = blob.area / (blob.area + least_px)
     # No pixel of a blob without core is pure paint.
-    pure = colour * (_SLIVER_SCORE if thin else 1.0)
+    # Factor on the plausibility of a blob without core; chosen.
+    pure = colour * (0.5 if thin else 1.0)
     convex = pure * size * (1.0 - blob.border_share)
     # The lower bound avoids computing the convex hull, which is slow.
     solidity = blob.box_fill

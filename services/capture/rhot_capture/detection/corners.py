@@ -32,17 +32,10 @@ _STEPS: Final = 12
 """Samples per profile, 0.8 pixels apart."""
 _MAX_SHIFT_PX: Final = 6.0
 """Largest distance of a corner from that of the coarse polygon; slightly more than the end of the profiles."""
-_MIN_SIDE_PX: Final = 7.0
-"""Chosen: the profiles of either adjacent side extend 3 pixels into a side."""
 _MAX_RESIDUAL_PX: Final = 0.6
 _OUTLIER_PX: Final = 1.0
 """Limits of an edge point's residual. A side is accepted if all residuals are below the first, or if the mean is and
 none exceeds the second; points beyond the second are removed. Chosen."""
-_AREA_TOLERANCE: Final = 0.15
-"""Largest relative difference between the area of the corners and the blob's; chosen."""
-_MAX_CONVERGENCE: Final = 0.2
-"""Largest difference between opposite sides, as a share of their length: with 0.04 m at 0.3 m perspective causes 0.13.
-A larger one indicates that a side is the edge of an object that occludes a corner."""
 _POSITIONS: Final = np.linspace(_SIDE_MARGIN, 1.0 - _SIDE_MARGIN, _POINTS_PER_SIDE)
 """Positions of the profiles, as shares of a side's length."""
 _POWERS: Final = np.vander(_POSITIONS, 3, increasing=True)
@@ -103,9 +96,13 @@ def _corners_near(shares: Shares, coarse: Sequence[Point], area: float) -> Float
         return None
     (a, b, c, d), lengths = _sides(corners)
     for (x1, y1), (x2, y2), longest in ((a, c, max(lengths[0::2])), (b, d, max(lengths[1::2]))):
-        if math.hypot(x1 + x2, y1 + y2) > _MAX_CONVERGENCE * longest:
+        # Largest difference between opposite sides, as a share of their length: with 0.04 m at 0.3 m
+        # perspective causes 0.13. A larger one indicates that a side is the edge of an object that occludes a
+        # corner.
+        if math.hypot(x1 + x2, y1 + y2) > 0.2 * longest:
             return None
-    if abs(_signed_area(corners) - area) > _AREA_TOLERANCE * area:
+    # Largest relative difference between the area of the corners and the blob's; chosen.
+    if abs(_signed_area(corners) - area) > 0.15 * area:
         return None
     return np.array(corners)
 
@@ -195,7 +192,8 @@ def _coarse_quadrilateral(outline: ContourArray, shift: Point) -> list[Point] | 
     corners = [(x + shift_x, y + shift_y) for x, y in polygon.reshape(4, 2).tolist()]
     if _signed_area(corners) < 0.0:
         corners.reverse()
-    if min(_sides(corners)[1]) < _MIN_SIDE_PX:
+    # Chosen: the profiles of either adjacent side extend 3 pixels into a side.
+    if min(_sides(corners)[1]) < 7.0:
         return None
     return _from_upper_left(corners)
 

@@ -19,8 +19,6 @@ from rhot_capture.detection.color_table import ColorTable
 
 _GAP_PX: Final = 2
 """Gap between regions, so that outlines do not connect."""
-_MAJORITY: Final = 5
-"""Majority of the nine pixels of a 3x3 neighbourhood."""
 
 
 class Cutout(NamedTuple):
@@ -127,7 +125,8 @@ def _majority(own: ImageArray) -> ImageArray:
     squares = sums[:-2] + sums[1:-1]
     squares += sums[2:]
     most: ImageArray = np.zeros(own.shape, np.uint8)
-    np.greater_equal(squares, _MAJORITY, out=most.reshape(-1)[width + 1 : -width - 1].view(np.bool_))
+    # Majority of the nine pixels of a 3x3 neighbourhood.
+    np.greater_equal(squares, 5, out=most.reshape(-1)[width + 1 : -width - 1].view(np.bool_))
     return most
 
 

@@ -9,7 +9,6 @@ the other markers of their hand (`reach`). All windows are classified together a
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
 
 import numpy as np
 
@@ -34,9 +33,6 @@ from rhot_capture.detection.search import find_regions
 from rhot_capture.detection.subpixel.centers import find_centres
 from rhot_capture.detection.subpixel.windows import Window
 from rhot_capture.detection.track import MarkerTrack
-
-_SURVEY_FRAMES: Final = 30
-"""Interval at which the whole frame is searched even if no marker is missing: half a second at 60 Hz. Chosen."""
 
 
 class MarkerDetector:
@@ -151,7 +147,9 @@ class MarkerDetector:
     def _follow(self) -> dict[str, Candidate] | None:
         """Search each marker's predicted region; return None unless all markers are completely inside."""
         self._since_survey += 1
-        if self._since_survey >= _SURVEY_FRAMES:
+        # Interval at which the whole frame is searched even if no marker is missing: half a second at 60 Hz.
+        # Chosen.
+        if self._since_survey >= 30:
             return None
         looks: list[tuple[int, Region]] = []
         regions: dict[int, Region] = {}

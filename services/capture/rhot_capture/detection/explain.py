@@ -27,8 +27,6 @@ from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.detection.result import Detection
 from rhot_capture.sources.pictures import read_pictures
 
-_MOST_SHOWN: Final = 6
-"""Largest number of blobs shown per marker; the largest blobs are shown."""
 _COLUMNS: Final = (
     *("marker", "u, v, px", "area, px²", "solidity", "pixels of its colour", "colour likelihood", "at image border"),
     *("from prediction, px", "score", "verdict"),
@@ -98,7 +96,8 @@ class PictureExplainer:
             judged = [each for whose, each in (*decisions.judged, *elsewhere) if whose in (name, marker.paint_of)]
             if not judged:
                 rows.append(ExplanationRow((name, *([""] * 8), "no blob of its colour in the picture"), "rejected"))
-            for each in sorted(judged, key=lambda each: each.blob.area, reverse=True)[:_MOST_SHOWN]:
+            # Largest number of blobs shown per marker; the largest blobs are shown.
+            for each in sorted(judged, key=lambda each: each.blob.area, reverse=True)[:6]:
                 accepted = detection if detection is not None and detection.blob is each.blob else None
                 verdict: Verdict = "rejected" if accepted is None else "accepted"
                 why = verdict if accepted is not None else _reason(each, marker, detection is not None)

@@ -26,8 +26,6 @@ _BEFORE: Final = _FIRST - _ROOM_PX
 _AFTER: Final = _FIRST - _STEP + _ROOM_PX + 1
 _MOST_CONTOURS: Final = 100
 """Largest number of contours examined, the largest ones: limits the time for pictures full of speckle. Chosen."""
-_MOST_REGIONS: Final = 6
-"""Largest number of regions of one label before merging; the largest are kept."""
 
 
 def find_regions(image: ImageArray, labels_of: ImageArray) -> list[tuple[int, Region]]:
@@ -93,7 +91,8 @@ def _joined(sized: list[tuple[int, Region]]) -> list[Region]:
         return [sized[0][1]]
     sized.sort(reverse=True)
     joined: list[Region] = []
-    for _, region in sized[:_MOST_REGIONS]:
+    # Largest number of regions of one label before merging; the largest are kept.
+    for _, region in sized[:6]:
         merged = region
         # Merging enlarges a region, which may then overlap a region that it did not overlap before.
         while overlapping := [other for other in joined if merged.overlaps(other)]:

@@ -19,8 +19,6 @@ _SLIVER_FRAMES: Final = 3
 _SLIVER_GATE_PX: Final = 6.0
 """Thin remains of a marker being occluded are accepted after at most this many frames, counted from the last detection,
 and within this distance from the prediction; chosen."""
-_FLOOR: Final = 0.05
-"""Smallest preference: a blob far from the prediction must be 20 times better to be chosen, unless it is alone."""
 _MARGIN_PX: Final = 8.0
 _MARGIN_PER_MOTION: Final = 0.5
 """Change of motion between two frames, as a share of it; a tip at 1.5 m/s moves 17 pixels in 1/60 s at 80 cm."""
@@ -83,7 +81,9 @@ class MarkerTrack:
         gate = max(_GATE_MIN_PX, _GATE_RATIO * math.sqrt(self._area)) * (1.0 + _GATE_GROWTH * self._missed)
         away = math.hypot(u - self._u - frames * self._motion_u, v - self._v - frames * self._motion_v)
         ratio = min(area, self._area) / max(area, self._area)
-        return max(_FLOOR, math.exp(-0.5 * (away / gate) ** 2) * math.sqrt(ratio))
+        # Smallest preference: a blob far from the prediction must be 20 times better to be chosen, unless it
+        # is alone.
+        return max(0.05, math.exp(-0.5 * (away / gate) ** 2) * math.sqrt(ratio))
 
     def continues(self, u: float, v: float) -> bool:
         """Return whether a blob is near enough to the prediction to accept even a thin one.

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import threading
-from typing import Final
 
 from rhot.clock import NodeClock
-
-_CHUNK_S: Final = 0.5
 
 
 class Pacer:
@@ -33,7 +30,8 @@ class Pacer:
             if remaining_s <= 0.0:
                 return True
             # In steps, because the node's clock may run at another rate than the clock of the wait.
-            self._stopped.wait(min(remaining_s, _CHUNK_S))
+            chunk_s = 0.5
+            self._stopped.wait(min(remaining_s, chunk_s))
         return False
 
     def restart(self) -> None:

@@ -33,9 +33,6 @@ from rhot_capture.sources.libcamera import (
 
 # Choice of a sensor mode.
 
-_SYNC_MARGIN: Final = 0.95
-"""A synchronised camera must be able to shorten frames, so it may not run at the mode's full rate."""
-
 
 def choose_mode(modes: Sequence[Mapping[str, Any]], camera: CameraConfig, name: str) -> Mapping[str, Any]:
     """Return the sensor mode to use: fast enough, widest view, then fewest pixels.
@@ -48,7 +45,8 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], camera: CameraConfig, name: 
     Raises:
         DeviceError: no mode is fast enough at that size.
     """
-    margin = _SYNC_MARGIN if camera.sync != "off" else 1.0
+    # A synchronised camera must be able to shorten frames, so it may not run at the mode's full rate.
+    margin = 0.95 if camera.sync != "off" else 1.0
     large = [mode for mode in modes if mode["size"][0] >= camera.width and mode["size"][1] >= camera.height]
     usable = [mode for mode in large if float(mode["fps"]) * margin >= camera.rate_hz]
     if not usable:
@@ -71,14 +69,10 @@ logger = logging.getLogger(__name__)
 
 _FORMAT: Final = "RGB888"
 """picamera2 names formats by significance: RGB888 lies in memory as B, G, R, which is what OpenCV wants."""
-_BUFFERS: Final = 4
-"""One being exposed, one in the pipeline, one waiting, one in work."""
 _WAIT_S: Final = 0.5
 _SILENCE_S: Final = 5.0
 _SYNC_WAIT_S: Final = 10.0
 """Longest wait for synchronisation with the other cameras: chosen, enough for a rig that starts."""
-_SETTLE_FRAMES: Final = 8
-"""Frames until new exposure and gain have passed through the sensor's pipeline."""
 
 
 class _Lease:
@@ -264,10 +258,11 @@ class Picamera2Source:
         self._lacking = lacking_controls(camera, self._offered, self._name)
         if self._lacking:
             logger.warning("%s", self._lacking)
+        # One being exposed, one in the pipeline, one waiting, one in work.
         configuration = self._device.create_video_configuration(
             main={"size": (camera.width, camera.height), "format": _FORMAT},
             sensor={"output_size": mode["size"], "bit_depth": mode["bit_depth"]},
-            buffer_count=_BUFFERS,
+            buffer_count=4,
             queue=False,
             controls=self._controls(camera),
         )
@@ -289,7 +284,8 @@ class Picamera2Source:
             raise DeviceError(f"camera {self._name}: not open; start it first")
         controls = locked_controls(self._modules.controls, self._camera, self._name, settings, self._offered)
         self._exposure_s = settings.exposure_s
-        self._settling = _SETTLE_FRAMES
+        # Frames until new exposure and gain have passed through the sensor's pipeline.
+        self._settling = 8
         frame_us, exposure_us = 1e6 / self._camera.rate_hz, 1e6 * settings.exposure_s
         self._expected = {"ExposureTime": exposure_us, "AnalogueGain": settings.gain, "FrameDuration": frame_us}
         return controls

@@ -24,13 +24,9 @@ CORRELATED_PX: Final = 50.0
 """Neighbouring depths share their stereo window and the smoothing: about so many pixels count as one."""
 SCALE_SIGMA: Final = 0.003
 """A depth camera's own error of scale, as a share of the distance; no picture averages it away."""
-_INSET: Final = 0.8
-"""The outline is shrunk by this factor: at its rim depth mixes with what lies behind. Chosen."""
 _MIN_PIXELS: Final = 20
 _MIN_SHARE: Final = 0.3
 """Fewer pixels with depth, or a smaller share of those inside, give no plane. Chosen."""
-_MAX_SAMPLES: Final = 250
-"""Pixels that are used: neighbours are correlated, more of them tell little. Chosen."""
 _CLIP: Final = 3.0
 """Standard deviations from the plane beyond which a pixel is an outlier."""
 
@@ -72,7 +68,8 @@ def fit_depth_plane(
         depth_range_m: nearest and farthest depth that is believed.
     """
     centre = outline.mean(axis=0)
-    inner = centre + _INSET * (outline - centre)
+    # The outline is shrunk by this factor: at its rim depth mixes with what lies behind. Chosen.
+    inner = centre + 0.8 * (outline - centre)
     height, width = depth_mm.shape
     left, top = np.maximum(np.floor(inner.min(axis=0)), 0).astype(int)
     right, bottom = np.minimum(np.ceil(inner.max(axis=0)) + 1, (width, height)).astype(int)
@@ -81,7 +78,8 @@ def fit_depth_plane(
     mask = np.zeros((bottom - top, right - left), dtype=np.uint8)
     cv2.fillConvexPoly(mask, np.rint(inner - (left, top)).astype(np.int32), 1)
     inside = np.flatnonzero(mask)
-    stride = max(1, len(inside) // _MAX_SAMPLES)
+    # Pixels that are used: neighbours are correlated, more of them tell little. Chosen.
+    stride = max(1, len(inside) // 250)
     inside = inside[::stride]
     z = 1e-3 * depth_mm[top:bottom, left:right].ravel()[inside].astype(np.float64)
     valid = (z >= depth_range_m[0]) & (z <= depth_range_m[1])

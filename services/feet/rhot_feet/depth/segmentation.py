@@ -24,10 +24,6 @@ from rhot_feet.depth.floor import FloorPlane
 from rhot_feet.depth.points import Mask, PointGrid
 from rhot_feet.depth.visibility import SurfaceShape, visible_part
 
-_FLOOR_CLEARANCE_M: Final = 0.015
-"""What is nearer to the floor than this counts as floor: half of a sole's thickness. Chosen."""
-_FLOOR_NOISE: Final = 0.008
-"""Clearance from the floor grows by so much times the depth squared, as its noise does."""
 _ROUNDS: Final = 10
 """Most steps of the search for a centroid; chosen."""
 _FULL_ROUNDS: Final = 4
@@ -38,14 +34,10 @@ RADIUS_M: Final = 0.18
 _FADE_M: Final = (0.02, 0.08)
 """Points so far above the marker begin to count less, and count nothing: were the shank cut off sharply, an error of a
 centimetre in the expected height would shift the centroid by several."""
-_BELOW_MARKER_M: Final = 0.16
-"""Used where no floor is known: a foot in the air hangs down by so much."""
 SETTLED_M: Final = 1e-3
 """A search has settled when its last step was shorter."""
 MIN_POINTS: Final = 40
 """Fewer points are no foot: a shoe 1.5 m away has about 500 of these, one for four pixels. Chosen."""
-_LEAST_KNOWN: Final = 0.1
-"""Share of a blob; comparing less says nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +192,8 @@ class BlobSearch:
         if member is None:
             raise RuntimeError("no points were taken")
         compared: Mask = member & ~self._unknown
-        return compared if self._weights[compared].sum() >= _LEAST_KNOWN * self._weights[member].sum() else member
+        # Share of a blob; comparing less says nothing.
+        return compared if self._weights[compared].sum() >= 0.1 * self._weights[member].sum() else member
 
     def _centroid(self) -> FloatArray:
         compared = self._compared()
@@ -211,7 +204,8 @@ class BlobSearch:
 def _weights(above_m: FloatArray) -> FloatArray:
     """Return how much points (N,) so far above the expected marker count, 0 to 1."""
     fading = (_FADE_M[1] - above_m) / (_FADE_M[1] - _FADE_M[0])
-    weights: FloatArray = np.where(above_m > -_BELOW_MARKER_M, np.clip(fading, 0.0, 1.0), 0.0)
+    # Used where no floor is known: a foot in the air hangs down by so much.
+    weights: FloatArray = np.where(above_m > -0.16, np.clip(fading, 0.0, 1.0), 0.0)
     return weights
 
 
@@ -291,7 +285,9 @@ def find_blobs(
 def _solid_points(grid: PointGrid, floor: FloorPlane | None, up_camera: FloatArray, camera: CameraModel) -> SolidPoints:
     solid = grid.valid.copy()
     if floor is not None:
-        clearance = _FLOOR_CLEARANCE_M + _FLOOR_NOISE * grid.points[..., 2] ** 2
+        # What is nearer to the floor than this counts as floor: half of a sole's thickness. Chosen.
+        # Clearance from the floor grows by so much times the depth squared, as its noise does.
+        clearance = 0.015 + 0.008 * grid.points[..., 2] ** 2
         solid &= floor.heights_m(grid.points) > clearance
     solid = cv2.morphologyEx(solid.astype(np.uint8), cv2.MORPH_OPEN, _KERNEL).astype(np.bool_)
     rows, columns = np.nonzero(solid)

@@ -179,11 +179,6 @@ def axes(foot: FootPrediction) -> FloatArray:
 
 DepthRefusal = Literal["unknown", "vague"] | BlobRefusal
 
-_VAGUE_M: Final = 0.06
-"""Largest standard deviation of a prediction, in any direction, with which a blob is assigned to a foot while the other
-foot's position is unknown."""
-_FLOOR_NS: Final = 60_000_000
-"""Interval at which the floor is measured; in between it is transformed by the head's pose."""
 _REACH_M: Final = RADIUS_M + 0.06
 _UPRIGHT: Final = np.array([0.0, -1.0, 0.0])
 
@@ -268,7 +263,8 @@ class DepthTracker:
             self._floor, self._floor_t_ns = None, None
         elif frame.t_ns != self._floor_t_ns:
             known = self._measured_floor
-            if known is not None and T_rig_camera is not None and 0 < frame.t_ns - known.t_ns < _FLOOR_NS:
+            # Interval at which the floor is measured; in between it is transformed by the head's pose.
+            if known is not None and T_rig_camera is not None and 0 < frame.t_ns - known.t_ns < 60_000_000:
                 T_old_new = np.linalg.inv(known.T_rig_camera) @ T_rig_camera
                 self._floor, self._floor_t_ns = known.floor.seen_from(T_old_new), frame.t_ns
                 return self._floor
@@ -375,7 +371,9 @@ def _verdicts(
 
 
 def _is_vague(foot: FootPrediction) -> bool:
-    return float(np.linalg.eigvalsh(foot.covariance)[-1]) > _VAGUE_M**2
+    # Largest standard deviation of a prediction, in any direction, with which a blob is assigned to a foot while
+    # the other foot's position is unknown.
+    return float(np.linalg.eigvalsh(foot.covariance)[-1]) > 0.06**2
 
 
 def _joint_region(feet: list[FootPrediction], camera: CameraModel) -> Region | None:

@@ -20,10 +20,6 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_feet.depth.points import FINE_PX, Mask, PointGrid
 
-_POINTS: Final = 150
-"""Number of points of a foot's model that are compared with an image; chosen."""
-_NEARER_M: Final = 0.04
-"""Smallest difference in depth of an occluding object."""
 _NEARER_THEN_M: Final = 0.02
 """The same in the image of the recording; smaller, because the shank meets the instep without a gap."""
 
@@ -79,7 +75,8 @@ class SurfaceShape:
 
 def sample_shape(points: FloatArray, weights: FloatArray, area: float, view: SurfaceView) -> SurfaceShape:
     """Return the shape of a blob's points (N, 3) from the marker with weights (N,), a sample of them."""
-    every = max(1, len(points) // _POINTS)
+    # Number of points of a foot's model that are compared with an image; chosen.
+    every = max(1, len(points) // 150)
     return SurfaceShape(points[::every], weights[::every], area, view)
 
 
@@ -97,7 +94,8 @@ def visible_part(
     Returns:
         0 to 1; (3,) metres, camera frame, zero if nothing is visible.
     """
-    clear = _visible(shape.points + position, grid, camera, _NEARER_M)
+    # Smallest difference in depth of an occluding object.
+    clear = _visible(shape.points + position, grid, camera, 0.04)
     weights = np.where(clear, shape.weights, 0.0)
     share = float(weights.sum() / shape.weights.sum())
     if share <= 0.0:

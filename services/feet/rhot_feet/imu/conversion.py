@@ -32,10 +32,6 @@ S = TypeVar("S")
 
 LONGEST_STEP_S: Final = 0.25
 """Samples further apart than this do not belong together: the sensor was away."""
-_COMPLEMENTARY_GAIN: Final = 0.5
-"""Gain of the complementary filter, 1/s."""
-_LEVEL_BAND: Final = 0.5
-"""m/s²: a force that differs from gravity by more does not say where up is."""
 
 
 def nearest_sample(samples: Reversible[S], t_ns: int, time_of: Callable[[S], int]) -> S | None:
@@ -131,9 +127,11 @@ class RawImuConverter:
             return self._R
         R = self._R @ rotation_from_vector(span_s * rate)
         size = math.sqrt(force @ force)
-        if abs(size - GRAVITY_M_S2) < _LEVEL_BAND:
+        # M/s²: a force that differs from gravity by more does not say where up is.
+        if abs(size - GRAVITY_M_S2) < 0.5:
             up = R @ force / size
-            R = rotation_from_vector((_COMPLEMENTARY_GAIN * span_s) * np.array([up[1], -up[0], 0.0])) @ R
+            # Gain of the complementary filter, 1/s.
+            R = rotation_from_vector((0.5 * span_s) * np.array([up[1], -up[0], 0.0])) @ R
         self._R = orthonormal(R)
         return self._R
 

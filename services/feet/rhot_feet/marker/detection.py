@@ -19,14 +19,10 @@ from rhot.geometry.region import Region
 # through them is surer than the one corner at its end, which blur rounds off. Corners are where neighbouring lines
 # meet.
 
-_CROSSINGS: Final = 14
-"""Points along each edge at which it is looked for; chosen."""
 _RIM: Final = 0.12
 """Share of an edge at its ends that is left out: there the neighbour's blur reaches in."""
 _STEP_PX: Final = 0.5
 """Between samples across an edge: blur spreads it over two pixels or more."""
-_REACH_CELLS: Final = 0.65
-"""How far across an edge is looked, in cells: the printed margin is little wider, and inside lie the bits."""
 _MAX_REACH_PX: Final = 4.0
 """And at most so many pixels; chosen."""
 _MIN_CONTRAST: Final = 12.0
@@ -37,8 +33,6 @@ _MAX_SHIFT_PX: Final = 2.0
 """Corners that move further than this from where the detector had them met other edges. Chosen."""
 UNREFINED_SIGMA_PX: Final = 0.4
 """Of a corner as the detector finds it, per axis."""
-_LEAST_SIGMA_PX: Final = 0.03
-"""What the scatter about the lines does not tell of; corners in clear simulated pictures are 0.035 px off in all."""
 
 
 def sample_picture(grey: ImageArray, positions: NDArray[np.float32]) -> FloatArray:
@@ -66,8 +60,10 @@ def refine_corners(grey: ImageArray, corners: FloatArray, cells: int) -> tuple[F
     outwards = np.column_stack([along[:, 1], -along[:, 0]]) / lengths[:, None]
     if float(np.einsum("ni,ni->", outwards, corners - corners.mean(axis=0))) < 0.0:
         outwards = -outwards
-    reach = min(_MAX_REACH_PX, _REACH_CELLS * float(lengths.min()) / cells)
-    shares = np.linspace(_RIM, 1.0 - _RIM, _CROSSINGS)
+    # How far across an edge is looked, in cells: the printed margin is little wider, and inside lie the bits.
+    reach = min(_MAX_REACH_PX, 0.65 * float(lengths.min()) / cells)
+    # Points along each edge at which it is looked for; chosen.
+    shares = np.linspace(_RIM, 1.0 - _RIM, 14)
     steps = np.arange(-reach, reach + 1e-6, _STEP_PX)
     starts = corners[:, None] + shares[None, :, None] * along[:, None]
     positions = (starts[:, :, None] + steps[None, None, :, None] * outwards[:, None, None]).astype(np.float32)
@@ -83,7 +79,9 @@ def refine_corners(grey: ImageArray, corners: FloatArray, cells: int) -> tuple[F
     moved = np.linalg.norm(refined - corners, axis=1)
     if float(moved.max()) > _MAX_SHIFT_PX:
         return corners, UNREFINED_SIGMA_PX
-    return refined, max(_LEAST_SIGMA_PX, scatter)
+    # What the scatter about the lines does not tell of; corners in clear simulated pictures are 0.035 px off in
+    # all.
+    return refined, max(0.03, scatter)
 
 
 def _crossings(profiles: FloatArray, steps: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:

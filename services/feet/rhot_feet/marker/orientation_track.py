@@ -31,7 +31,6 @@ _STEEP_RAD: Final = float(np.radians(25.0))
 likelier one is then believed. Below, only one hypothesis may be left: the errors of corners are the same in picture
 after picture, so that what they add up to overstates what is known.
 """
-_STEEP_MARGIN: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +85,8 @@ class OrientationTrack:
             return self._state is not None
         towards = -t_camera_marker / max(float(np.linalg.norm(t_camera_marker)), 1e-9)
         steep = float(self._state.R[0, :, 2] @ towards) <= np.cos(_STEEP_RAD)
-        return steep and self.margin >= _STEEP_MARGIN
+        steep_margin = 10.0
+        return steep and self.margin >= steep_margin
 
     def update(self, t_s: float, poses: Sequence[MarkerPose]) -> int:
         """Update with the poses of one picture and return the index of the one to believe, see `nearest`.

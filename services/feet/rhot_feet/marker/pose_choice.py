@@ -15,8 +15,6 @@ from rhot_feet.marker.pose import MarkerPose
 
 CLEAR_MARGIN: Final = 6.0
 """Difference of −2·log-likelihood from which the better pose is believed: odds of 20 to 1."""
-_MAX_NIS: Final = 40.0
-"""An expectation that is wrong altogether must not outweigh everything that is seen."""
 _UPRIGHT_RAD: Final = float(np.radians(75.0))
 _UPRIGHT_SIGMA_RAD: Final = float(np.radians(10.0))
 """Feet tilt up to about 75° when the heel leaves the floor; beyond that a marker's normal is ever less plausible."""
@@ -81,7 +79,8 @@ def _nis(pose: MarkerPose, prior: OrientationPrior | None) -> float:
         return 0.0
     turn = rotation_between(prior.R_camera_marker, pose.R_camera_marker)
     distance = squared_distance(turn, pose.covariance[:3, :3] + prior.covariance)
-    return min(distance, _MAX_NIS)
+    # An expectation that is wrong altogether must not outweigh everything that is seen.
+    return min(distance, 40.0)
 
 
 def _implausibility(pose: MarkerPose, up_camera: FloatArray | None) -> float:

@@ -118,8 +118,6 @@ def _depth_agrees(view: SquareView, plane: DepthPlane) -> bool:
 
 # The marker stage: from a picture to a believed pose per foot.
 
-_CONFIRM: Final = 3
-"""Pictures in which a marker that nobody expects has to be seen before it is believed."""
 _CONFIRM_GAP_S: Final = 0.15
 _CONFIRM_STEP_M: Final = 0.03
 _CONFIRM_SPEED_M_S: Final = 6.0
@@ -127,10 +125,6 @@ _CONFIRM_SPEED_M_S: Final = 6.0
 swinging foot. Chosen."""
 _FORGET_S: Final = 0.5
 """After so long without its marker a foot's own orientation track starts over."""
-_WHOLE_NS: Final = 40_000_000
-"""While one foot is expected and the other is not, the whole picture is searched this often."""
-_CROP_SHARE: Final = 0.5
-"""A region that covers more of the picture than this is no quicker to search than the whole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +251,8 @@ class MarkerTracker:
     def _search(self, frame: DepthFrame, expected: Mapping[Side, FootPrediction]) -> list[MarkerDetection]:
         """Return the markers near the expected positions; everywhere, now and then, for a foot that is not expected."""
         regions: list[Region] = []
-        if not expected or (len(expected) < len(self._ids) and frame.t_ns - self._whole_ns >= _WHOLE_NS):
+        # While one foot is expected and the other is not, the whole picture is searched this often.
+        if not expected or (len(expected) < len(self._ids) and frame.t_ns - self._whole_ns >= 40_000_000):
             self._whole_ns = frame.t_ns
             return self._finder.find(frame.color)
         for side in expected:
@@ -266,7 +261,8 @@ class MarkerTracker:
                 regions.append(region)
         if len(regions) == 2 and regions[0].overlaps(regions[1]):
             regions = [regions[0].joined(regions[1])]
-        if sum(region.area for region in regions) > _CROP_SHARE * frame.camera.width * frame.camera.height:
+        # A region that covers more of the picture than this is no quicker to search than the whole.
+        if sum(region.area for region in regions) > 0.5 * frame.camera.width * frame.camera.height:
             return self._finder.find(frame.color)
         return [detection for region in regions for detection in self._finder.find(frame.color, region)]
 
@@ -327,7 +323,8 @@ class MarkerTracker:
         )
         memory.streak = memory.streak + 1 if continues else 1
         memory.streak_ns, memory.streak_position = t_ns, position
-        return is_expected or memory.streak >= _CONFIRM
+        # Pictures in which a marker that nobody expects has to be seen before it is believed.
+        return is_expected or memory.streak >= 3
 
     def _marker(self, t_ns: int, candidate: _Candidate, memory: _Memory, expected: FootPrediction | None) -> FootMarker:
         pose, clear = candidate.choice.pose, candidate.choice.clear

@@ -25,19 +25,8 @@ _LEAST_VIEWS = 200.0
 """Pairs of views required for a verdict: five seconds of a hand at eight checks per second; see `epipolar`."""
 _CLEAR = 1.5
 """A systematic residual counts as a bump if it is this many times the remaining residual."""
-_RELEASED = 0.5
-"""Share of the limit below which a reported bump is cleared."""
 _EVERY_S = 0.125
 """Time between two checks: the camera poses change slowly."""
-_EAGER_LOOKS = 300
-"""Number of initial checks that an uncalibrated rig makes at every frame, because its views are corrected from the
-start."""
-_SHOTS = 40
-"""Recent simultaneous views kept for the question whether two cameras are swapped: five seconds of checks."""
-_SWAPPED = 0.5
-"""Two cameras count as swapped if exchanging them leaves less than this share of the residual."""
-_MOST_RATE = 4.0
-"""Upper bound of a marker's image speed, normalised units per second."""
 
 
 class CameraAgreement:
@@ -64,7 +53,9 @@ class CameraAgreement:
         self._newest: list[deque[Sightings]] = [deque(maxlen=DEPTH) for _ in cameras]
         self._pair = cameras[0], cameras[1]
         self._exchanged = EpipolarModel([cameras[1], cameras[0], *cameras[2:]], limit_px)
-        self._shots: deque[tuple[FloatArray, BoolArray]] = deque(maxlen=_SHOTS)
+        # Recent simultaneous views kept for the question whether two cameras are swapped: five seconds of
+        # checks.
+        self._shots: deque[tuple[FloatArray, BoolArray]] = deque(maxlen=40)
         self._looks = 0
         self._views = 0.0
         self._looked_s = -math.inf
@@ -95,7 +86,8 @@ class CameraAgreement:
         if not self.bumped_px:
             return False
         usual, exchanged = self.epipolar.residual(xy)[1], self._exchanged.residual(other)[1]
-        return bool(np.median(np.abs(exchanged)) < _SWAPPED * np.median(np.abs(usual)))
+        # Two cameras count as swapped if exchanging them leaves less than this share of the residual.
+        return bool(np.median(np.abs(exchanged)) < 0.5 * np.median(np.abs(usual)))
 
     def correct(self, camera: int, xy: FloatArray) -> FloatArray:
         """Return a camera's views (N, 2), normalised units, corrected for its movement since the calibration."""
@@ -107,7 +99,9 @@ class CameraAgreement:
         """Process a frame's uncorrected views; the schedule must already have been updated with it."""
         self._newest[sightings.camera].append(sightings)
         moment_s, period_s = schedule.common_moment(), schedule.longest_period_s
-        eager = not self._calibrated and self._looks < _EAGER_LOOKS
+        # Number of initial checks that an uncalibrated rig makes at every frame, because its views are
+        # corrected from the start.
+        eager = not self._calibrated and self._looks < 300
         elapsed = moment_s - self._looked_s
         if sightings.camera == 0 or moment_s == -math.inf or elapsed <= (0.5 * period_s if eager else _EVERY_S):
             return
@@ -126,16 +120,16 @@ class CameraAgreement:
         for camera, frames in enumerate(self._newest):
             for seen in frames:
                 later = seen.times_s > tracks.last_t_s[camera][seen.index]
-                tracks.append(camera, seen.index[later], seen.times_s[later], seen.xy[later], _MOST_RATE)
+                # Upper bound of a marker's image speed, normalised units per second.
+                tracks.append(camera, seen.index[later], seen.times_s[later], seen.xy[later], 4.0)
         return tracks
 
     def _judge(self) -> None:
         if not self._calibrated or self._views < _LEAST_VIEWS:
             return
         systematic, remaining = self.epipolar.correction_px, self.epipolar.spread_px
-        if systematic > max(self._bump_px, _CLEAR * remaining) or (
-            self.bumped_px and systematic > _RELEASED * self._bump_px
-        ):
+        # Share of the limit below which a reported bump is cleared.
+        if systematic > max(self._bump_px, _CLEAR * remaining) or (self.bumped_px and systematic > 0.5 * self._bump_px):
             self.bumped_px = systematic
         else:
             self.bumped_px = 0.0

@@ -30,8 +30,6 @@ import numpy as np
 from rhot.arrays import BoolArray, FloatArray
 from rhot_fusion.filter.state import SHARED
 
-_COMMON: Final = 1.0
-"""Relative strength of the linear acceleration that all markers of a hand share."""
 _TURNING: Final = 8.0
 """Relative strength of the angular acceleration, per metre from the centroid of the markers."""
 _OWN: Final = 1.0
@@ -126,7 +124,8 @@ def _wherever(alive: tuple[bool, ...]) -> tuple[FloatArray, FloatArray]:
 
 def _power() -> FloatArray:
     """Return the noise power (6,) of the shared accelerations."""
-    return np.repeat(np.square([_COMMON, _TURNING]), 3)
+    # Relative strength of the linear acceleration that all markers of a hand share.
+    return np.repeat(np.square([1.0, _TURNING]), 3)
 
 
 def lever(position: FloatArray) -> FloatArray:

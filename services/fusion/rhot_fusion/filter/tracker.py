@@ -41,10 +41,6 @@ from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 from rhot_fusion.views.vectors import vector
 
-_FIRST_PX: Final = 0.3
-"""Initial standard deviation of a pixel coordinate; centroids of painted tips in photo-real pictures have errors of
-0.2 to 0.3 px.
-"""
 _FIRST_WEIGHT: Final = 50.0
 """Number of observations that the initial value counts as."""
 CALIBRATION_PX: Final = 0.2
@@ -134,9 +130,6 @@ class PaintCorrection:
 _CLEAR = 9.0
 """Squared Mahalanobis distance at which innovations are clipped, because outliers are not noise."""
 
-_SHORTEST_M = 1e-3
-"""Shorter baselines give no depth, or are one camera that was entered twice."""
-
 
 class CameraNoise:
     """Pixel noise of C cameras.
@@ -147,10 +140,13 @@ class CameraNoise:
 
     def __init__(self, cameras: Sequence[CameraModel], calibration_px: FloatArray, calibrated: bool) -> None:
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
-        self._baseline_m = max(_SHORTEST_M, *(math.dist(a.center, b.center) for a, b in combinations(cameras, 2)))
+        # Shorter baselines give no depth, or are one camera that was entered twice.
+        self._baseline_m = max(1e-3, *(math.dist(a.center, b.center) for a, b in combinations(cameras, 2)))
         self.calibration_px = calibration_px
         # Pixel noise of a rig without `cameras.json`, not counting errors of its time stamps.
-        first = _FIRST_PX if calibrated else 1.0
+        # Initial standard deviation of a pixel coordinate; centroids of painted tips in photo-real pictures
+        # have errors of 0.2 to 0.3 px.
+        first = 0.3 if calibrated else 1.0
         # Least_px, most_px: bounds of the estimated standard deviation, pixels.
         # Lower bound of the estimate for such a rig, pixels: its coordinates are whole pixels, or its lens
         # distortion is unknown.
@@ -225,8 +221,6 @@ def stated_px(names: Sequence[str], quality: Any) -> FloatArray:
 
 # Fusion by filtering: each camera frame updates all markers of a hand, each at its image row's exposure time.
 
-_LONGEST_HISTORY = 32
-
 
 class FilterTracker:
     """The `filter` method; see `Tracker`.
@@ -271,7 +265,8 @@ class FilterTracker:
         # Standard deviation of the time stamps of such a rig, seconds: frames are stamped on arrival.
         self._time_variance = 0.0 if rig.calibrated else 0.006**2
         self.gates: dict[int, tuple[IndexArray, Innovation, FloatArray]] = {}
-        self._history: deque[tuple[Sightings, list[State], PaintBefore]] = deque(maxlen=_LONGEST_HISTORY)
+        longest_history = 32
+        self._history: deque[tuple[Sightings, list[State], PaintBefore]] = deque(maxlen=longest_history)
         self.clear()
 
     @property

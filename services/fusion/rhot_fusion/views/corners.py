@@ -20,13 +20,6 @@ from rhot.messages import MarkerFrame, PixelPoint, Position
 from rhot.rig import MarkerConfig
 from rhot_fusion.views.vectors import Vector, dot, vector
 
-_NEWEST_S = 0.05
-"""Largest difference between the times of corners and of the point, seconds: beyond it the hand may have moved."""
-_SIDE_TOLERANCE = 0.35
-"""Largest relative error of a side: paint has soft edges and depth is noisy."""
-_RESIDUAL_PX = 3.0
-"""Largest distance of a corner from its rays; wrong correspondences are off by the size of the patch, 20 px or more."""
-
 Corners = tuple[Position, Position, Position, Position]
 
 
@@ -110,10 +103,12 @@ class PatchCorners:
             position: the published point, metres; the corners are centred on it.
             t_s: its time.
         """
+        # Largest difference between the times of corners and of the point, seconds: beyond it the hand may
+        # have moved.
         views = [
             (camera, seen)
             for camera in cameras
-            if (seen := self._observed.get((name, camera))) is not None and abs(t_s - seen.t_s) <= _NEWEST_S
+            if (seen := self._observed.get((name, camera))) is not None and abs(t_s - seen.t_s) <= 0.05
         ]
         if len(views) < 2:
             return None
@@ -124,7 +119,9 @@ class PatchCorners:
         for shift in (last, (last + 1) % 4, (last + 2) % 4, (last + 3) % 4):
             quad, gap = _intersect(a.center, d, b.center, e[shift:] + e[:shift])
             depth = max(abs(dot(quad[0], a.axis)), 1e-3)
-            if 0.5 * gap / depth * self._focal_px <= _RESIDUAL_PX and self._fits(name, quad):
+            # Largest distance of a corner from its rays; wrong correspondences are off by the size of the
+            # patch, 20 px or more.
+            if 0.5 * gap / depth * self._focal_px <= 3.0 and self._fits(name, quad):
                 self._shift[name, first, second] = shift
                 return _centered(quad, position)
         return None
@@ -139,7 +136,8 @@ class PatchCorners:
         p, q, r, s = (math.dist(quad[corner - 1], quad[corner]) for corner in (1, 2, 3, 0))
         width, length = self._sizes[name]
         for u, v in ((width, length), (length, width)):
-            if max(abs(p / u - 1.0), abs(q / v - 1.0), abs(r / u - 1.0), abs(s / v - 1.0)) <= _SIDE_TOLERANCE:
+            # Largest relative error of a side: paint has soft edges and depth is noisy.
+            if max(abs(p / u - 1.0), abs(q / v - 1.0), abs(r / u - 1.0), abs(s / v - 1.0)) <= 0.35:
                 return True
         return False
 

@@ -23,14 +23,8 @@ from rhot.geometry.camera import CameraModel, essential_matrix
 
 _MEMORY_S = 20.0
 """Time constant of the forgetting: mounts creep over minutes."""
-_PRIOR_OFFSET_PX = 8.0
-"""Prior standard deviation of a. Chosen on the 2018 streams, whose cameras had moved since the calibration."""
 _PRIOR_SLOPE = 0.03
 """Prior standard deviation of b and c: about 1.7° of roll."""
-_FIRST_SPREAD_PX = 5.0
-"""Initial noise. Chosen on the 2018 streams."""
-_SMALLEST_SPREAD_PX = 0.1
-"""Lower bound of the noise of a marker's centre."""
 _WINDOW = 256
 """Number of recent residuals kept for the statistics."""
 
@@ -50,13 +44,16 @@ class EpipolarModel:
         self._t: FloatArray = np.stack([camera.to_camera(reference.center[None])[0] for camera in cameras])
         # The epipolar line of (x, y, 1) of the first camera is E · (x, y, 1).
         self._essential: FloatArray = np.stack([essential_matrix(reference, camera) for camera in cameras])
-        prior = np.array([(_PRIOR_OFFSET_PX / self._focal_px) ** -2, _PRIOR_SLOPE**-2, _PRIOR_SLOPE**-2])
+        # Prior standard deviation of a. Chosen on the 2018 streams, whose cameras had moved since the
+        # calibration.
+        prior = np.array([(8.0 / self._focal_px) ** -2, _PRIOR_SLOPE**-2, _PRIOR_SLOPE**-2])
         # In units of the information of an observation with a standard deviation of one pixel.
         self._prior: FloatArray = np.diag(prior) / self._focal_px**2
         self._information: FloatArray = np.zeros((len(cameras), 3, 3))
         self._moment: FloatArray = np.zeros((len(cameras), 3))
         self.coefficients: FloatArray = np.zeros((len(cameras), 3))
-        self.spread_px = _FIRST_SPREAD_PX
+        # Initial noise. Chosen on the 2018 streams.
+        self.spread_px = 5.0
         self._recent: FloatArray = np.full(_WINDOW, np.nan)
         self._place = 0
 
@@ -133,7 +130,8 @@ class EpipolarModel:
         # The median is robust against single bad pairs; 1.4826 scales it to the standard deviation of normal noise.
         spread = 1.4826 * median(np.abs(error_px).tolist())
         gain = 0.2 if self._place < 60 else 0.02
-        self.spread_px = max(_SMALLEST_SPREAD_PX, self.spread_px + gain * (spread - self.spread_px))
+        # Lower bound of the noise of a marker's centre.
+        self.spread_px = max(0.1, self.spread_px + gain * (spread - self.spread_px))
 
     @property
     def correction_px(self) -> float:

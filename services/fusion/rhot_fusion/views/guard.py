@@ -12,10 +12,6 @@ _FUTURE_NS = 500_000_000
 """A frame further ahead of the newest one than this is rejected until several frames agree."""
 _BACK_NS = 1_000_000_000
 """The same for a frame that is older than the newest one; the network reorders by far less."""
-_AGREEING_AHEAD = 3
-"""Number of consecutive such frames ahead after which the stream is considered to have paused."""
-_AGREEING_BACK = 8
-"""Number of consecutive such older frames after which the stream is considered to have been restarted."""
 
 
 class StreamGuard:
@@ -58,7 +54,9 @@ class StreamGuard:
         self._suspects = self._suspects + 1 if follows else 1
         self._suspect_ns = frame.t_ns
         ahead = self._newest_ns is not None and frame.t_ns > self._newest_ns
-        if self._suspects < (_AGREEING_AHEAD if ahead else _AGREEING_BACK):
+        # Number of consecutive such frames ahead after which the stream is considered to have paused.
+        # Number of consecutive such older frames after which the stream is considered to have been restarted.
+        if self._suspects < (3 if ahead else 8):
             return self._refuse("wrong_time")
         self._last.clear()
         self._newest_ns = None

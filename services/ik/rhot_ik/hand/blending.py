@@ -81,16 +81,14 @@ def blended(
     most_m = steps * np.minimum(_STEP_M, _FIRST_M + 0.2 * gap_m) + 0.05 * dt_s
     for _ in range(2):
         # The path is nonlinear in the angles: steps that are still too long are shortened once more.
-        shorter = np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), _NONE_M))
+        none_m = 1e-9
+        shorter = np.minimum(1.0, most_m / np.maximum(np.sqrt((way * way).sum(-1)), none_m))
         if not (led & (shorter < 1.0)).any():
             break
         share *= shorter
         way = kinematics.marker_points((shown + share[:, None] * change).reshape(-1)) - begin
     angles = np.where(led[:, None], shown + share[:, None] * change, estimated)
     # A blend continues until the finger arrives, even after `lasts_s`.
-    left = np.where(share < 1.0, np.maximum(left_s - dt_s, _NONE_S), left_s - dt_s)
+    none_s = 1e-9
+    left = np.where(share < 1.0, np.maximum(left_s - dt_s, none_s), left_s - dt_s)
     return angles, np.where(led, np.maximum(left, 0.0), 0.0)
-
-
-_NONE_M: Final = 1e-9
-_NONE_S: Final = 1e-9

@@ -40,10 +40,6 @@ _PALM_SHARE: Final = 0.24
 that is seen tells these apart. The share of the palm in their variance: of its 93 mm, the 65 mm of the metacarpal
 differ by 5 to 8 % in people whose hands have one length (see finger_share), which is 4.5 mm.
 """
-_LOST_M: Final = 0.012
-"""When the seen tips miss the model by more than this on average for this long, the hand is looked for again: more
-than wrong proportions explain, for longer than a wild marker lasts.
-"""
 _LOST_S: Final = 0.3
 _QUARTER_TURN: Final = 20.0
 """A palm whose patch would fit this much better a quarter turn off (difference of two chi-squares: odds of e¹⁰) is
@@ -55,10 +51,6 @@ turned.
 _ROLLS_DEG: Final = (0.0, 60.0, -60.0, 120.0, -120.0, 180.0)
 _PITCHES_DEG: Final = (5.0, 40.0)
 """The tips usually hang below the plane of the palm, so the palm is pitched up from their direction."""
-_MOST_AWAY: Final = 0.3
-"""Guesses whose back points further away from the cameras than this (cosine) are not tried: the steps turn little."""
-_QUARTER: Final = 0.5
-"""Palms whose sideways axes are less parallel than this (cosine) lie a quarter turn apart, not half a turn or none."""
 _REFINED: Final = 3
 _TURNED_AWAY_COST: Final = 1e4
 """A flat patch that is seen faces the cameras: cost of the square of how far its normal points away."""
@@ -120,10 +112,12 @@ class HandInitialiser:
         visible = seen.tips_seen & seen.tips_measured
         if seen.base is None or not visible.any():
             return None
+        # Palms whose sideways axes are less parallel than this (cosine) lie a quarter turn apart, not half a
+        # turn or none.
         turned = [
             (cost, found)
             for cost, found, _ in self._on_patch(seen, seen.base, visible, None)
-            if abs(found.R[:, 0] @ state.R[:, 0]) < _QUARTER
+            if abs(found.R[:, 0] @ state.R[:, 0]) < 0.5
         ]
         return min(turned, key=lambda item: item[0])[1] if turned else None
 
@@ -153,7 +147,9 @@ class HandInitialiser:
         if self._evidence.outline is None:
             return rotations
         sight = self._sight(at)
-        facing = [R for R in rotations if R[:, 1] @ sight < _MOST_AWAY]
+        # Guesses whose back points further away from the cameras than this (cosine) are not tried: the steps
+        # turn little.
+        facing = [R for R in rotations if R[:, 1] @ sight < 0.3]
         return facing or rotations
 
     def _sight(self, at: FloatArray) -> FloatArray:
@@ -397,7 +393,9 @@ class HandSolver:
         if measured < before.most_tips:
             return state, before.lost_s
         # The same limit while the corners of no patch have confirmed the palm.
-        limit_m = _LOST_M if before.from_patch else 0.006
+        # When the seen tips miss the model by more than this on average for this long, the hand is looked for
+        # again: more than wrong proportions explain, for longer than a wild marker lasts.
+        limit_m = 0.012 if before.from_patch else 0.006
         if state.mean_residual_m < limit_m:
             return state, 0.0
         # A larger residual shortens the wait: 150 mm mean a palm that was initialised the wrong way round.

@@ -43,15 +43,8 @@ from rhot_ik.trunk.upper_body import solve_upper_body
 
 _STANDING: Final = 0.999
 """Hip to ankle of a standing leg over its length: 5° of flexion."""
-_STANDS: Final = 0.05
-"""A leg that is shorter than straight by this share is bent, not measured wrongly."""
 _MOST: Final = 0.05
 """Of what is learned, as a share of legs and trunk."""
-_FIRST_S: Final = 0.5
-"""Half of what is off is learned in the first half second of standing. Chosen: people are asked to stand for two
-or three (`docs/feet.md`)."""
-_SLOWEST_S: Final = 30.0
-"""From so much standing on, what is new is averaged over this time; chosen."""
 _UPWARDS: Final = 3.0
 """How much faster lengths grow than shrink; chosen."""
 _LEGS_SHARE: Final = 0.5
@@ -94,10 +87,14 @@ class Stature:
             side: float(np.linalg.norm(position + R @ hip_joint(side, self.body) - ankle.position)) - _STANDING * leg_m
             for side, ankle in ankles.items()
         }
-        if max(abs(off) for off in off_m.values()) > _STANDS * leg_m:
+        # A leg that is shorter than straight by this share is bent, not measured wrongly.
+        if max(abs(off) for off in off_m.values()) > 0.05 * leg_m:
             return
-        share = elapsed_s / (_FIRST_S + self._stood_s)
-        self._stood_s = min(self._stood_s + elapsed_s, _SLOWEST_S)
+        # Half of what is off is learned in the first half second of standing. Chosen: people are asked to
+        # stand for two or three (`docs/feet.md`).
+        share = elapsed_s / (0.5 + self._stood_s)
+        # From so much standing on, what is new is averaged over this time; chosen.
+        self._stood_s = min(self._stood_s + elapsed_s, 30.0)
         both_m = sum(off_m.values()) / len(off_m)
         for side, off in off_m.items():
             ankle_m = self.ankles_m[side] + share * (off - both_m)
@@ -152,8 +149,6 @@ _LONGEST_GAP_S: Final = 0.3
 """After a longer pause nothing is known about where a body went."""
 _FORGET_S: Final = 0.1
 """A velocity that was believed so long ago says nothing about now."""
-_SLOWEST_BRIDGE: Final = 0.25
-"""m/s: an offset shrinks at least so fast, however fast the body moves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +221,8 @@ class JumpBridge:
         if left_m == 0.0:
             return
         speed = self._limits.speed - float(np.linalg.norm(self._velocity))
-        step_m = elapsed_s * min(max(speed, _SLOWEST_BRIDGE), self._limits.bridging)
+        # M/s: an offset shrinks at least so fast, however fast the body moves.
+        step_m = elapsed_s * min(max(speed, 0.25), self._limits.bridging)
         self._offset = self._offset * max(1.0 - step_m / left_m, 0.0)
 
     def _bridged(self, position: FloatArray, *, jumped: bool) -> Bridged:
@@ -237,11 +233,6 @@ class JumpBridge:
 # From `rhot/head`, `rhot/foot/<side>` and `rhot/hand/<side>` to `rhot/body`.
 
 # The whole lower body from the head and the feet: hips, knees, ankles, balls of the feet, joint angles.
-
-_FOOT_WEIGHT: Final = 0.75
-"""How much a knee points where the toes do, and how much where the hips do."""
-_LEAST_ACROSS: Final = 0.1
-"""Cosine to the hips' own axis from which on a direction counts in full; 84°. Chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,11 +284,13 @@ def _hinge(R_hips: FloatArray, ankle: Ankle, hip: FloatArray) -> FloatArray:
     line = ankle.position - hip
     down = line / max(float(np.linalg.norm(line)), 1e-9)
     hinge = np.zeros(3)
-    share = _FOOT_WEIGHT * ankle.trust
+    # How much a knee points where the toes do, and how much where the hips do.
+    share = 0.75 * ankle.trust
     for direction, weight in ((ankle.T_rig_ankle[:3, 0], share), (R_hips[:, 0], 1.0 - share)):
         across = direction - (direction @ down) * down
         # A foot turned backwards is a wrong measurement: it must not turn the knee.
-        agreement = float(np.clip((across @ R_hips[:, 0]) / _LEAST_ACROSS, 0.0, 1.0))
+        # Cosine to the hips' own axis from which on a direction counts in full; 84°. Chosen.
+        agreement = float(np.clip((across @ R_hips[:, 0]) / 0.1, 0.0, 1.0))
         hinge += weight * agreement * across
     if float(np.linalg.norm(hinge)) < 1e-3:
         # The leg lies along the hips' own axis: the hips' front decides.
@@ -325,16 +318,8 @@ BODY_KEY: Final = "rhot/body"
 _ANGLES: Final = tuple(LegAngles.model_fields)
 _STALE_NS: Final = 300_000_000
 """A foot, hand or head that was not heard of for so long is not known."""
-_TOGETHER_NS: Final = 2_000_000
-"""Poses of both feet that are no further apart are of one moment."""
 _LEAD_NS: Final = round(1e9 * LEAD_S)
 """A foot that is older than the other by less than this is carried on by its velocity."""
-_SIDE_BY_SIDE_M: Final = 0.12
-"""Feet whose ankles are no further apart along the body's front stand side by side: half a foot's length. Chosen."""
-_CALM_S: Final = 0.05
-"""Over which the velocity of the hips is averaged; chosen."""
-_LONGEST_STEP_S: Final = 0.1
-"""A longer pause counts as one of this length."""
 _MEASURED: Final = frozenset({"head", *(f"{side}_{end}" for side in OUTWARDS for end in ("ankle", "foot", "wrist"))})
 """Joints next to which something is tracked; the others are inferred."""
 
@@ -386,8 +371,9 @@ class BodyCore:
         newest_ns = max(foot.t_ns for foot in self._feet.values())
         known = {side: foot for side, foot in self._feet.items() if newest_ns - foot.t_ns < _STALE_NS}
         # A foot whose newest sample has been used is waited for, unless it stays away for longer than it is carried on.
+        # Poses of both feet that are no further apart are of one moment.
         if any(
-            self._solved.get(side) == foot.t_ns and _TOGETHER_NS < newest_ns - foot.t_ns < _LEAD_NS
+            self._solved.get(side) == foot.t_ns and 2_000_000 < newest_ns - foot.t_ns < _LEAD_NS
             for side, foot in known.items()
         ):
             return []
@@ -403,10 +389,13 @@ class BodyCore:
         higher_m = self._stature.ankles_m
         found = {side: track.at(t_ns, self._hip_motion, higher_m[side]) for side, track in self._tracks.items()}
         ankles = {side: ankle for side, ankle in found.items() if ankle is not None}
-        elapsed_s = min(max(1e-9 * (t_ns - self._solved_ns), 0.0), _LONGEST_STEP_S)
+        # A longer pause counts as one of this length.
+        elapsed_s = min(max(1e-9 * (t_ns - self._solved_ns), 0.0), 0.1)
         hanging = hips_under_head(T_rig_head, ankles, self._up, self._stature.body)
         # Somebody stands, the feet side by side.
-        if all(track.stands for track in self._tracks.values()) and stride(ankles, hanging[:3, 2]) < _SIDE_BY_SIDE_M:
+        # Feet whose ankles are no further apart along the body's front stand side by side: half a foot's
+        # length. Chosen.
+        if all(track.stands for track in self._tracks.values()) and stride(ankles, hanging[:3, 2]) < 0.12:
             self._stature.update(hanging, ankles, elapsed_s)
         hips = within_reach(hanging, ankles, self._stature.body)
         self._update_hip_motion(hips, elapsed_s)
@@ -453,7 +442,8 @@ class BodyCore:
         if self._hip_motion is not None and elapsed_s > 0.0:
             velocity = self._hip_motion.velocity
             moved = (hips[:3, 3] - self._hip_motion.T_rig_hips[:3, 3]) / elapsed_s
-            velocity = velocity - np.expm1(-elapsed_s / _CALM_S) * (moved - velocity)
+            # Over which the velocity of the hips is averaged; chosen.
+            velocity = velocity - np.expm1(-elapsed_s / 0.05) * (moved - velocity)
         self._hip_motion = HipMotion(hips, velocity)
 
 

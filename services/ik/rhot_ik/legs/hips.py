@@ -33,29 +33,12 @@ _LOOKING_LEAN: Final = 0.16
 _CROUCHING_LEAN: Final = 0.4
 """Usual lean of an upright trunk; what is added for looking straight down; and per leg's length by which the pivot is
 lowered. Chosen, not measured: walking trunks lean by 2 to 7°, squatting ones by 30 to 45° with the thighs level."""
-_STRIDE_M: Final = 0.2
-"""Distance between the feet, along the body's front, that halves the lean of crouching. Chosen."""
-_LEAN_SIGMA: Final = 0.20
-"""σ_lean, a share of the trunk's length: 11°. Chosen, not measured."""
-_BALANCE_SIGMA_M: Final = 0.08
-"""σ_balance, about a third of a foot's length. Chosen, not measured."""
-_BALANCE_FADES_M: Final = 0.25
-"""How far behind the heels the weight lies when w has fallen to a quarter. Chosen, not measured."""
-_TRUNK_WEIGHT: Final = 0.62
-"""s: of head, arms and trunk, as a share of what must be balanced; the rest is thighs and hips. Chosen."""
 _MOST_LEAN: Final = 0.95
 """Sine of 72°: beyond it the level direction of the trunk is not defined any more."""
 _HEAD_WEIGHT: Final = 0.35
 """Of the head's heading beside that of both feet, 1. Chosen: heads turn without the hips, too."""
-_STRAIGHTEST: Final = 0.997
-"""Share of a leg's length that the hips may be away from its ankle: 9° of flexion are left to the knee."""
 _ROUNDS: Final = 12
 """Most rounds of projections onto the balls of reach."""
-_LEAST_TRUST: Final = 0.01
-"""Keeps the slack of a foot that is not trusted finite: 10 m."""
-_DOUBT_M: Final = 0.1
-"""How far a foot that is trusted by half may be out of reach before it pulls the hips. Chosen: `pendulum_m` of
-`FootTrackSettings`, the error of such a foot."""
 
 
 def estimate_hips(T_rig_head: FloatArray, ankles: Mapping[Side, Ankle], up: FloatArray, body: BodyModel) -> FloatArray:
@@ -98,8 +81,13 @@ def within_reach(T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], body: Bod
         for side, ankle in ankles.items():
             line = position + R @ hip_joint(side, body) - ankle.position
             reach = float(np.linalg.norm(line))
-            doubt = 1.0 / max(ankle.trust, _LEAST_TRUST) - 1.0
-            over = reach - _STRAIGHTEST * body.leg_m - doubt * _DOUBT_M
+            # Keeps the slack of a foot that is not trusted finite: 10 m.
+            doubt = 1.0 / max(ankle.trust, 0.01) - 1.0
+            # Share of a leg's length that the hips may be away from its ankle: 9° of flexion are left to
+            # the knee.
+            # How far a foot that is trusted by half may be out of reach before it pulls the hips. Chosen:
+            # `pendulum_m` of `FootTrackSettings`, the error of such a foot.
+            over = reach - 0.997 * body.leg_m - doubt * 0.1
             if over > 0.0:
                 position -= line * (over / reach)
                 moved = True
@@ -130,13 +118,18 @@ def _lean(pivot_m: float, lowered_m: float, stride_m: float, down: float, trust:
         trust: in the feet, 0 to 1: over feet that are only guessed nobody is balanced.
         body: lengths.
     """
-    lever = (1.0 - _TRUNK_WEIGHT) * body.neck_height_m
+    # S: of head, arms and trunk, as a share of what must be balanced; the rest is thighs and hips. Chosen.
+    lever = (1.0 - 0.62) * body.neck_height_m
     usual = _LEAN + _LOOKING_LEAN * max(down, 0.0)
     excess = _outside_soles(pivot_m - lever * usual, body)
-    standing = 1.0 / (1.0 + (min(excess, 0.0) / _BALANCE_FADES_M) ** 2) ** 2
-    usual += _CROUCHING_LEAN * standing * max(lowered_m, 0.0) / body.leg_m / (1.0 + (stride_m / _STRIDE_M) ** 2)
+    # How far behind the heels the weight lies when w has fallen to a quarter. Chosen, not measured.
+    standing = 1.0 / (1.0 + (min(excess, 0.0) / 0.25) ** 2) ** 2
+    # Distance between the feet, along the body's front, that halves the lean of crouching. Chosen.
+    usual += _CROUCHING_LEAN * standing * max(lowered_m, 0.0) / body.leg_m / (1.0 + (stride_m / 0.2) ** 2)
     excess = _outside_soles(pivot_m - lever * usual, body)
-    weight = trust * standing * (_LEAN_SIGMA / _BALANCE_SIGMA_M) ** 2
+    # Σ_lean, a share of the trunk's length: 11°. Chosen, not measured.
+    # Σ_balance, about a third of a foot's length. Chosen, not measured.
+    weight = trust * standing * (0.20 / 0.08) ** 2
     return float(np.clip(usual + weight * lever * excess / (1.0 + weight * lever**2), -_MOST_LEAN, _MOST_LEAN))
 
 

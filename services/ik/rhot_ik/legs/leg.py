@@ -8,16 +8,10 @@ the thigh's length asks. The bend is to the front of the hinge axis by construct
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from rhot.arrays import FloatArray
-
-_LEAST_REACH: Final = 0.25
-"""Ankle to hip is no shorter than this share of the leg: the flesh of thigh and calf meets at about 150° of flexion."""
-_SOFT_SHARE: Final = 0.008
-"""The last part of the leg's length, over which it straightens ever more slowly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +65,9 @@ def bend_leg(hip: FloatArray, ankle: FloatArray, hinge: FloatArray, thigh_m: flo
     reach = float(np.linalg.norm(line))
     length = thigh_m + shank_m
     down = _unit(line) if reach > 1e-9 else _unit(np.cross(_across(hinge), hinge))
-    distance = max(_softened(reach, length), _LEAST_REACH * length, 1.001 * abs(thigh_m - shank_m))
+    # Ankle to hip is no shorter than this share of the leg: the flesh of thigh and calf meets at about 150° of
+    # flexion.
+    distance = max(_softened(reach, length), 0.25 * length, 1.001 * abs(thigh_m - shank_m))
     right = _unit(hinge - (hinge @ down) * down)
     front = np.cross(right, down)
     along = (distance**2 + thigh_m**2 - shank_m**2) / (2.0 * distance)
@@ -94,7 +90,8 @@ def _softened(reach_m: float, length_m: float) -> float:
     Near the straight leg the knee's position goes with the root of what is left, and an error of millimetres would make
     it jump by centimetres; so the last bit is approached exponentially ("soft IK", known from character animation).
     """
-    soft_m = _SOFT_SHARE * length_m
+    # The last part of the leg's length, over which it straightens ever more slowly.
+    soft_m = 0.008 * length_m
     begin_m = length_m - soft_m
     if reach_m <= begin_m:
         return reach_m

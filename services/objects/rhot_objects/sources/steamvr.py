@@ -30,8 +30,6 @@ from rhot_objects.sources import HEAD, PoseSample, SpaceMovedError
 MOVED_EVENTS: Final = {801: "its universe has changed", 808: "its standing position was reset"}
 _CURRENT_UNIVERSE: Final = 2004
 """`Prop_CurrentUniverseId_Uint64`."""
-_HEADSET: Final = 0
-"""`k_unTrackedDeviceIndex_Hmd`."""
 _SAME_M: Final = 1e-3
 _SAME_RAD: Final = 1e-3
 """Tolerances for an unchanged space; far below the error of a registration (docs/tested.md: 1.4 mm)."""
@@ -63,7 +61,8 @@ class TrackingSpace:
 def read_space(openvr: Any, system: Any) -> TrackingSpace | None:
     """Return SteamVR's standing space; None if SteamVR does not report it."""
     try:
-        universe = int(system.getUint64TrackedDeviceProperty(_HEADSET, _CURRENT_UNIVERSE))
+        # `k_unTrackedDeviceIndex_Hmd`.
+        universe = int(system.getUint64TrackedDeviceProperty(0, _CURRENT_UNIVERSE))
         matrix = system.getRawZeroPoseToStandingAbsoluteTrackingPose()
         return TrackingSpace(universe, Pose.from_matrix([[matrix.m[row][k] for k in range(4)] for row in range(3)]))
     except (openvr.OpenVRError, KeyError, ValueError):

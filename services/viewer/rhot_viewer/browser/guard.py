@@ -30,8 +30,6 @@ from rhot_viewer.browser.shell import dress, wants_light
 
 logger = logging.getLogger(__name__)
 
-_MOST_BYTES: Final = 1 << 20
-"""Largest message from a browser; clicks and sliders send some hundred bytes. viser's own limit is 50 MB."""
 _MOST_BROWSERS: Final = 32
 _COOKIE_S: Final = 30 * 24 * 3600
 _LOOKING: Final = frozenset({"ViewerCameraMessage"})
@@ -85,10 +83,12 @@ class Guard:
             def check(connection: ServerConnection, request: Request) -> Response | None:
                 return self.check(connection, request, process_request)
 
+            # Largest message from a browser; clicks and sliders send some hundred bytes. viser's own
+            # limit is 50 MB.
             options |= {
                 "process_request": check,
                 "create_connection": Connection,
-                "max_size": _MOST_BYTES,
+                "max_size": (1 << 20),
                 "logger": _quiet_logger(),
             }
             self.standing = True

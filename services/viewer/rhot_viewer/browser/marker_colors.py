@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import colorsys
 import logging
-from typing import Final
 
 import numpy as np
 
@@ -16,15 +15,13 @@ from rhot_viewer.scene.instances import Rgb
 
 logger = logging.getLogger(__name__)
 
-_BRIGHTEST_AT_LEAST: Final = 190.0
-_UNPAINTED_LIGHTNESS: Final = 0.6
-
 
 def marker_colors(rig: Rig) -> dict[str, Rgb]:
     """Return a colour for each marker of a rig: from `colors.json`, or spread over the colour circle without it."""
     names = list(rig.config.markers)
+    unpainted_lightness = 0.6
     spread = {
-        name: _bytes(np.array(colorsys.hls_to_rgb(index / len(names), _UNPAINTED_LIGHTNESS, 0.8)) * 255.0)
+        name: _bytes(np.array(colorsys.hls_to_rgb(index / len(names), unpainted_lightness, 0.8)) * 255.0)
         for index, name in enumerate(names)
     }
     if not rig.colors_path.exists():
@@ -48,7 +45,8 @@ def screen_color(color: MarkerColor) -> Rgb:
         rgb = np.array(colorsys.hsv_to_rgb(hue, sum(color.saturation) / 2.0, sum(color.value) / 2.0)) * 255.0
     else:
         rgb = 0.5 * (np.array(color.low) + np.array(color.high))
-    return _bytes(rgb * max(1.0, _BRIGHTEST_AT_LEAST / max(float(rgb.max()), 1.0)))
+    brightest_at_least = 190.0
+    return _bytes(rgb * max(1.0, brightest_at_least / max(float(rgb.max()), 1.0)))
 
 
 def _bytes(rgb: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Rgb:

@@ -18,8 +18,6 @@ _MOST_SAID: Final = 256
 """Services' words that are remembered; their names are an outsider's choice."""
 _SILENT: Final = "no status"
 """Of a service that is alive and has not told of itself lately: it has just come, or the machine is busy."""
-_MISFIT_M: Final = 0.015
-"""Residual beyond which ik does not call a hand measured (`rhot_ik.hand.fit_check`)."""
 _STATE_COLOR: Final = {
     "running": "#2b8a3e",
     "waiting": "#b08900",
@@ -80,7 +78,8 @@ def hands_html(hands: Mapping[str, HandPose], waiting_for: str) -> str:
         residual = sorted(pose.residual.values())
         miss_m = residual[len(residual) // 2] if residual else 0.0
         predicted = [finger for finger, state in pose.fingers.items() if state == "predicted"]
-        if pose.state == "predicted" and miss_m > _MISFIT_M:
+        # Residual beyond which ik does not call a hand measured (`rhot_ik.hand.fit_check`).
+        if pose.state == "predicted" and miss_m > 0.015:
             how = "does not fit its markers; *Newest problems* says why"
         elif pose.state == "predicted":
             how = "predicted: no marker of it is seen right now"

@@ -63,7 +63,6 @@ _CLOSE_LIMIT_S: Final = 0.4
 PANEL_WIDTH_PX: Final = 420
 """Wide enough for a table of services, and leaves most of a tablet (1024 px) to the scene."""
 _LOOKING_ONLY: Final = "Sliders and buttons have no effect here. Flying around and looking through cameras work."
-_BRAND_RGB: Final = (30, 110, 160)
 
 E = TypeVar("E")
 
@@ -122,8 +121,9 @@ class Page:
     def set_theme(gui: viser.GuiApi, *, light: bool) -> None:
         """Choose the colours of all browsers (the server's `gui`) or of one (a client's)."""
         # No share button: it would offer the page to the internet through a server of viser's makers.
+        brand_rgb = (30, 110, 160)
         gui.configure_theme(
-            dark_mode=not light, show_logo=False, show_share_button=False, brand_color=_BRAND_RGB, control_width="large"
+            dark_mode=not light, show_logo=False, show_share_button=False, brand_color=brand_rgb, control_width="large"
         )
 
     def _greet(self, client: viser.ClientHandle) -> None:

@@ -46,9 +46,6 @@ from rhot_viewer.scene.viewpoint import (
 
 # Objects with a surface of their own: each is sent to the browser once, and then only moved.
 
-_MOST_KEPT: Final = 64
-"""Meshes that stay in the browser, hidden, once they have gone: a rig has about ten, but anybody may make up names."""
-
 
 class MeshLayer:
     """Meshes by the object's name; from the rig folder's file, else the planes that the message carries."""
@@ -68,7 +65,9 @@ class MeshLayer:
         """Show those objects whose shape is a mesh, and no others."""
         for name, (_, handle) in self._drawn.items():
             handle.visible = name in objects and isinstance(objects[name].shape, MeshShape)
-        if len(self._drawn) > _MOST_KEPT:
+        # Meshes that stay in the browser, hidden, once they have gone: a rig has about ten, but anybody may
+        # make up names.
+        if len(self._drawn) > 64:
             for name in [name for name, (_, handle) in self._drawn.items() if not handle.visible]:
                 self._drawn.pop(name)[1].remove()
         for name, pose in objects.items():
@@ -206,9 +205,7 @@ _SLOW_AGE_S: Final = 1.0
 _TRAIL_S: Final = 2.0
 _FADED: Final = (96, 102, 112)
 """Where trails fade to: faint before a dark background as before a light one."""
-_VOLUME_COLOR: Final = (70, 84, 104)
 _GRID_CELL_M: Final = 0.1
-_LIMIT_COLOR: Final = (240, 200, 90)
 
 
 @dataclass(slots=True)
@@ -302,11 +299,13 @@ class RigScene:
             wxyz=tuple(rotation_of_z(up[None])[0]),
         )
         volume = volume_lines(*self._rig.config.fusion.volume_m).astype(np.float32)
-        return scene.add_line_segments("/volume", volume, _VOLUME_COLOR, thickness=0.0016)
+        volume_color = (70, 84, 104)
+        return scene.add_line_segments("/volume", volume, volume_color, thickness=0.0016)
 
     def _draw_limits(self, scene: viser.SceneApi, side: Side) -> viser.LineSegmentsHandle:
         nowhere = np.zeros((LINES, 2, 3), dtype=np.float32)
-        return scene.add_line_segments(f"/limits/{side}", nowhere, _LIMIT_COLOR, thickness=0.0014, visible=False)
+        limit_color = (240, 200, 90)
+        return scene.add_line_segments(f"/limits/{side}", nowhere, limit_color, thickness=0.0014, visible=False)
 
     def _start_with(self, view: Viewpoint) -> None:
         camera = self._page.server.initial_camera

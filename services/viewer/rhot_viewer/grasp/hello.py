@@ -24,8 +24,6 @@ from rhot_viewer.scene.viewpoint import desk_middle, up_direction
 _SPREAD_DEG: Final = {"thumb": 25.0, "index": 15.0, "middle": 2.0, "ring": -12.0, "little": -15.0}
 """Abduction of the rest pose in which the skin is created: fingers spread, so that their skin does not merge; close to
 the limits of `ANGLE_LIMITS_DEG`."""
-_UNKNOWN_HEIGHT_M: Final = 0.74
-"""Height of a desk that was not measured (DIN EN 527-1: 740 mm for desks of fixed height)."""
 
 
 def hello_text(rig: Rig, colors: Mapping[str, Rgb], other_page: str, may_publish: bool, devices: list[str]) -> str:
@@ -91,7 +89,8 @@ def stage_of(rig: Rig) -> tuple[FloatArray, str]:
     back = -(forward - up * (forward @ up))
     back /= np.linalg.norm(back)
     R = np.column_stack([np.cross(up, back), up, back])
-    height_m = _UNKNOWN_HEIGHT_M if rig.config.feet is None else 0.0
+    # Height of a desk that was not measured (DIN EN 527-1: 740 mm for desks of fixed height).
+    height_m = 0.74 if rig.config.feet is None else 0.0
     return rigid(R, desk_middle(rig) - height_m * up), "a guess: `rhot calibrate stage` finds the floor"
 
 

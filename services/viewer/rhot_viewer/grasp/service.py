@@ -59,7 +59,6 @@ _LEAD_S: Final = 0.1
 """Time after a hand in which only hands trigger a frame; other new samples are sent with them."""
 _LOOK_S: Final = 0.5
 """Interval at which the rig folder is checked for changes."""
-_REPEAT_S: Final = 1.0
 _FILES: Final = (RIG_FILE, HAND_FILE, STAGE_FILE, REGISTRATION_FILE, registration_name(WEBXR))
 
 
@@ -201,7 +200,8 @@ class GraspService:
     async def _ask_for_spaces(self, node: Node) -> None:
         """Query the spaces, which may have been published before this process started."""
         with contextlib.suppress(BusError):
-            for reply in await node.bus.get(_SPACES, timeout_s=_REPEAT_S):
+            repeat_s = 1.0
+            for reply in await node.bus.get(_SPACES, timeout_s=repeat_s):
                 if not reply.error:
                     with contextlib.suppress(WireError):
                         self._take(reply.key, decode(reply.payload, Space))

@@ -107,7 +107,6 @@ class ColorBoundsFolder:
 _HELD_S: Final = 0.8
 """A slider that somebody has moved in this time is left alone: it would jump under their finger."""
 _NOTE: Final = "<div style='padding:0.1em 0.8em;font-size:0.9em;color:{color};overflow-wrap:anywhere'>{text}</div>"
-_STATUS_AGE_S: Final = 5.0
 
 
 @dataclass(slots=True)
@@ -209,7 +208,8 @@ class CamerasPanel:
 
     def _read_again(self, camera: str, folder: _CameraFolder) -> None:
         """Ask for the settings when the camera appears, and when its status says that they have changed."""
-        status = self._inbox.newest(f"rhot/status/capture/{camera}", ServiceStatus, _STATUS_AGE_S)
+        status_age_s = 5.0
+        status = self._inbox.newest(f"rhot/status/capture/{camera}", ServiceStatus, status_age_s)
         digest = "" if status is None else status.config_digest
         if digest and digest != folder.digest:
             self._settings.ask(camera, {})

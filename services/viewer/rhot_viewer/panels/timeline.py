@@ -17,7 +17,6 @@ _CHARTS: Final = {
     "error": "error, mm",
 }
 _COLORS: Final = ("#4dabf7", "#ffa94d", "#69db7c", "#f783ac", "#b197fc", "#ffe066", "#63e6be", "#ff8787", "#ced4da")
-_HEIGHT_PX: Final = 190
 _AXIS: Final = uplot.Axis(stroke="#adb5bd", grid={"stroke": "#373a40"}, ticks={"stroke": "#373a40"})
 _NOTHING: Final = "nothing yet"
 
@@ -38,11 +37,12 @@ class TimelinePanel:
         for kind, title in _CHARTS.items():
             data, names = self._data(self._history.chart(kind))
             self._drawn[kind] = names
+            height_px = 190
             self._plots[kind] = gui.add_uplot(
                 data,
                 self._series(names),
                 title=title,
-                height=_HEIGHT_PX,
+                height=height_px,
                 axes=(_AXIS, _AXIS),
                 scales={"x": uplot.Scale(time=False, range=(-float(SECONDS), 0.0))},
                 legend=uplot.Legend(show=True, live=False),

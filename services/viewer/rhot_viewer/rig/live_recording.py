@@ -17,7 +17,6 @@ from rhot.text import printable
 
 _CONNECT_S: Final = 2.0
 _LONGEST_NAME: Final = 100
-_MIN_ELAPSED_S: Final = 1e-3
 
 
 class LiveRecording:
@@ -64,7 +63,8 @@ class LiveRecording:
     @property
     def rate_hz(self) -> float:
         """Messages a second, over the whole file."""
-        return self.tally.messages / max(self.seconds, _MIN_ELAPSED_S)
+        min_elapsed_s = 1e-3
+        return self.tally.messages / max(self.seconds, min_elapsed_s)
 
     def start(self, below: str = "") -> None:
         """Start a file named after date and time, in a subfolder of the folder of recordings."""

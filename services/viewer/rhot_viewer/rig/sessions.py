@@ -16,8 +16,6 @@ _READ_AT_START: Final = (
     *map(registration_name, OBJECT_SOURCES),
 )
 _CONNECT_S: Final = 2.0
-_CLOCK_S: Final = 2.0
-_DELAY_S: Final = 0.5
 
 
 class Sessions:
@@ -44,7 +42,9 @@ class Sessions:
             self._begun += 1
             # Distinguishes two sessions within a second, which would otherwise have the same id.
             name = f"{new_session()}-{self._begun}"
-            control = await broadcast(bus, "start", name, _DELAY_S, _CLOCK_S)
+            clock_s = 2.0
+            delay_s = 0.5
+            control = await broadcast(bus, "start", name, delay_s, clock_s)
         return control.session
 
     def _now(self) -> tuple[tuple[int, int], ...]:

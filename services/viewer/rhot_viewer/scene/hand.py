@@ -25,8 +25,6 @@ GHOST_SWELL: Final = 1.18
 
 _BONE_SHARE: Final = 0.86
 """A bone is a little thinner than its joints, so that these can be seen."""
-_WRIST_SHARE: Final = 0.75
-"""The wrist's ball alone is thinner than the flesh: as thick, it would hide the hand from whoever sits behind it."""
 _FINGER_OF: Final = {
     joint: finger for finger, chain in CHAINS.items() for joint in chain if not joint.endswith("_metacarpal")
 }
@@ -105,7 +103,9 @@ def _shape(
     rod_colors: NDArray[np.int_],
     share: float = _BONE_SHARE,
 ) -> HandShape:
-    ball_radii = radii[_BALLS] * np.where(_ROW["wrist"] == _BALLS, _WRIST_SHARE, 1.0)
+    # The wrist's ball alone is thinner than the flesh: as thick, it would hide the hand from whoever sits behind
+    # it.
+    ball_radii = radii[_BALLS] * np.where(_ROW["wrist"] == _BALLS, 0.75, 1.0)
     rod_radii = share * 0.5 * (radii[_STARTS] + radii[_ENDS])
     return HandShape(
         balls(positions[_BALLS], ball_radii, ball_colors),

@@ -15,8 +15,6 @@ OVERVIEW_FOV_RAD: Final = float(np.radians(48.0))
 _CLOSE_M: Final = 0.45
 _HANDS_APART_M: Final = 0.3
 """Palms of two hands at work before a person: about the width of the shoulders less the hands'."""
-_PERSON_M: Final = 1.0
-"""Height of what is looked at in a rig that tracks feet, above the floor's origin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +63,8 @@ def overview(rig: Rig) -> Viewpoint:
     up = up_direction(rig)
     if rig.config.feet is not None:
         forward = _across(up)
-        middle = _PERSON_M * up
+        # Height of what is looked at in a rig that tracks feet, above the floor's origin.
+        middle = 1.0 * up
         return Viewpoint(middle + 0.6 * up + 3.2 * forward, middle, up, OVERVIEW_FOV_RAD)
     middle = desk_middle(rig) + 0.46 * up
     position = middle + np.array([-0.5, -1.1, 0.0]) + 0.5 * up

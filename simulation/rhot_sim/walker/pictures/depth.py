@@ -46,7 +46,6 @@ _GRAZING: Final = 0.12
 """Cosine between a ray and the floor's normal below which the floor tends to be missing."""
 _EDGE_PX: Final = 1.2
 """Step of disparity that tends to leave holes along it."""
-_SHADOW_PX: Final = 8
 
 
 class DepthRenderer:
@@ -212,7 +211,8 @@ class DepthRenderer:
         missing |= (blots > _BLOT) & (glancing == 1.0)
         # Pixels of this picture to which a pixel of disparity comes.
         per_pixel = DEPTH_FOCAL_PX / self._focal[0]
-        for shift in range(1, _SHADOW_PX + 1):
+        shadow_px = 8
+        for shift in range(1, shadow_px + 1):
             missing[:, :-shift] |= disparity[:, shift:] - disparity[:, :-shift] > np.float32(shift * per_pixel)
         across = np.abs(disparity[:, 2:] - disparity[:, :-2]) > _EDGE_PX
         missing[:, 1:-1] |= across & (blots[:, 1:-1] > 0.0)

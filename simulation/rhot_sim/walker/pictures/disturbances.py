@@ -15,9 +15,7 @@ from rhot_sim.world.script import seeded
 
 _STREAM: Final = 41
 _HEM_SLOT_S: Final = 2.5
-_HEM_CHANCE: Final = 0.25
 _FALSE_SLOT_S: Final = 1.0
-_FALSE_CHANCE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +82,8 @@ class Mishaps:
             return 0.0
         slot, into_s = divmod(t_s, _HEM_SLOT_S)
         rng = seeded(self._seed, _STREAM, 0, SIDES.index(side), max(int(slot), 0))
-        if rng.random() >= _HEM_CHANCE:
+        hem_chance = 0.25
+        if rng.random() >= hem_chance:
             return 0.0
         length_s = rng.uniform(0.3, 1.2)
         start_s = rng.uniform(0.0, _HEM_SLOT_S - length_s)
@@ -102,7 +101,8 @@ class Mishaps:
             return None
         slot, into_s = divmod(t_s, _FALSE_SLOT_S)
         rng = seeded(self._seed, _STREAM, 1, max(int(slot), 0))
-        if rng.random() >= _FALSE_CHANCE:
+        false_chance = 0.5
+        if rng.random() >= false_chance:
             return None
         length_s = rng.uniform(0.02, 0.6)
         start_s = rng.uniform(0.0, _FALSE_SLOT_S - length_s)

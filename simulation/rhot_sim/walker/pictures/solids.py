@@ -26,8 +26,6 @@ THIGH_RADII_M: Final = (0.078, 0.058)
 TRUNK_RADII_M: Final = (0.125, 0.120)
 HEM_OVER_ANKLE_M: Final = 0.085
 """Trousers end this far over the ankle."""
-_TRUNK_ENDS: Final = (0.12, 0.75)
-"""Ends of the trunk between hips and neck, as shares of the way."""
 SHOE, TROUSERS, SHIRT = "shoe", "trousers", "shirt"
 
 
@@ -81,7 +79,8 @@ def limbs_at(person: Person, sample: PersonSample, moment: int) -> Limbs:
             Cone(np.stack([hip, knee]), np.array(THIGH_RADII_M) * scale, TROUSERS),
         ]
     hips, neck = sample.hips[moment, :3, 3], sample.neck[moment]
-    trunk = hips + np.outer(_TRUNK_ENDS, neck - hips)
+    # Ends of the trunk between hips and neck, as shares of the way.
+    trunk = hips + np.outer((0.12, 0.75), neck - hips)
     return Limbs(shoes, legs, Cone(trunk, np.array(TRUNK_RADII_M) * scale, SHIRT))
 
 

@@ -26,9 +26,6 @@ _MEMORY: Final = 0.999
 """Decay of the extent per searched frame: half in 700 frames, 12 to 23 s. A grasping hand, of which little is visible,
 keeps the extent of the open hand; after a hand has left, the extent adapts to the next one."""
 
-_HALF_WIDTH_PX: Final = 12
-"""Approximate half width of a marker: extents are measured between centres."""
-
 
 class HandReach:
     """Extent of each hand's markers in one camera.
@@ -74,7 +71,8 @@ class HandReach:
             )
             if labels and middles and extent_px > 0.0:
                 height, width = image.shape[:2]
-                room = extent_px + _HALF_WIDTH_PX
+                # Approximate half width of a marker: extents are measured between centres.
+                room = extent_px + 12
                 left, right = max(0, int(max(u) - room)), min(width, int(min(u) + room) + 1)
                 top, bottom = max(0, int(max(v) - room)), min(height, int(min(v) + room) + 1)
                 part = image[top:bottom, left:right]

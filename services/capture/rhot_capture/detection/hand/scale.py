@@ -15,8 +15,6 @@ from rhot.rig.marker_config import unshared_paints
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Refusal, track_plausibility, without
 from rhot_capture.detection.track import MarkerTrack
 
-_CAP_M2: Final = 2.7e-4
-"""Visible paint of a fingertip seen from the side, square metres: 15 mm across, 18 mm along."""
 _MOST: Final = 4.0
 """Largest area of a marker, as a multiple of the area implied by its size and the hand's scale. A thumb's cap is 1.7
 times that of a finger; a fingertip 10 cm nearer than the palm at 50 cm appears 1.6 times as large. Chosen."""
@@ -26,8 +24,6 @@ Chosen."""
 _MEMORY: Final = 0.999
 """Decay of the scale per frame with that many markers: half in 700 frames. It is slow so that a hand with partly
 occluded tips keeps the scale of the open hand."""
-_NEARER: Final = 1.005
-"""Growth of the scale per frame with fewer: a fist may come nearer, from 90 to 43 cm within a second. Chosen."""
 
 
 class HandScale:
@@ -44,7 +40,9 @@ class HandScale:
         for name in unshared_paints(markers):
             marker = markers[name]
             if marker.kind != "ball":
-                face_m2 = _CAP_M2 if marker.size_m is None else marker.size_m[0] * marker.size_m[1]
+                # Visible paint of a fingertip seen from the side, square metres: 15 mm across, 18 mm
+                # along.
+                face_m2 = 2.7e-4 if marker.size_m is None else marker.size_m[0] * marker.size_m[1]
                 self._face_m2[name] = marker.hand, face_m2
         self._scale = {hand: 0.0 for hand, _ in self._face_m2.values()}
 
@@ -89,4 +87,6 @@ class HandScale:
                     scales[hand].append(likely.blob.area / face_m2)
         for hand, seen in scales.items():
             kept = self._scale[hand]
-            self._scale[hand] = max(_MEMORY * kept, sorted(seen)[-2]) if len(seen) >= _FEWEST else _NEARER * kept
+            # Growth of the scale per frame with fewer: a fist may come nearer, from 90 to 43 cm within a
+            # second. Chosen.
+            self._scale[hand] = max(_MEMORY * kept, sorted(seen)[-2]) if len(seen) >= _FEWEST else 1.005 * kept

@@ -21,28 +21,15 @@ from rhot_capture.detection.candidates import Candidate
 _REACH_M: Final = 0.20
 """Distance from the centre of a patch to the farthest fingertip: 0.165 m for an average hand (189 mm from the wrist),
 up to 0.22 m for large ones (hand.length_m permits 0.26), and a tilted patch looks smaller."""
-_REACH_DEVIATION: Final = 0.1
-"""Standard deviation of that distance, as a share of it: the patch's area gives the scale to 5 to 10 %."""
 _STEP_PX: Final = 4.0
 """Standard deviation of a fingertip's prediction from its motion: 20 m/s² (the largest in the recordings) for 1/30 s
 are 11 mm, 7 pixels of a camera with 0.6 pixels per millimetre (640 columns, 62°, 0.85 m)."""
-_DRIFT_PX: Final = 3.0
-"""Increase of it per frame without the marker, because fingers move relative to the hand."""
-_MOST_DRIFT_PX: Final = 45.0
-"""Upper bound of it: half of a finger's path from open to closed in such an image."""
-_SURE_PX: Final = 10.0
-"""Predictions with a smaller standard deviation are certain to a fingertip's width."""
 _NEW: Final = math.log(0.02)
 """Log-likelihood of a marker without prediction, relative to one at its predicted position."""
 _MISSING: Final = math.log(1e-5)
 """Log-likelihood of a missing marker, on the same scale: equal to that of a blob at 4.8 σ."""
-_PATCH_FRAMES: Final = 10
-"""Number of frames for which the last position of an unseen patch is used: as long as a track is kept."""
 _CLEAR: Final = math.log(100.0)
 """A match must be this much likelier than any that assigns the marker differently: a wrong one would persist."""
-_SCALE_MEMORY: Final = 0.995
-"""Decay of the largest scale per frame. Hands that move at 1 m/s change it by at most 2 % in 1/60 s. It halves in two
-seconds; until then a partly occluded patch does not reduce the scale."""
 
 
 class Anchor(NamedTuple):
@@ -161,7 +148,9 @@ class SharedPaints:
         memory, anchor = self._memory[name], self._anchors.get(self._patch_of[name])
         if anchor is None or memory.beside is None:
             return None
-        sigma_px = min(_STEP_PX + _DRIFT_PX * memory.missed, _MOST_DRIFT_PX)
+        # Increase of it per frame without the marker, because fingers move relative to the hand.
+        # Upper bound of it: half of a finger's path from open to closed in such an image.
+        sigma_px = min(_STEP_PX + 3.0 * memory.missed, 45.0)
         return Place(anchor.u + memory.beside[0], anchor.v + memory.beside[1], sigma_px)
 
     def match(
@@ -176,7 +165,8 @@ class SharedPaints:
         """
         first, second = self.wearers[paint]
         places = {name: self.expected(name, carried[name]) for name in (first, second)}
-        here = [place for place in places.values() if place is not None and place.sigma_px <= _SURE_PX]
+        # Predictions with a smaller standard deviation are certain to a fingertip's width.
+        here = [place for place in places.values() if place is not None and place.sigma_px <= 10.0]
         # Touching fingertips form one blob, which is assigned to neither.
         apart = [k for k, spot in enumerate(spots) if len(here) < 2 or not all(spot.contains(place) for place in here)]
         fits = {name: {k: self._fit(name, places[name], spots[k]) for k in apart} for name in (first, second)}
@@ -197,12 +187,13 @@ class SharedPaints:
 
     def remember(self, seen: Mapping[str, tuple[float, float]]) -> None:
         """Store the positions of a frame's markers and patches, u and v in pixels."""
-        self._kept_px_m = _SCALE_MEMORY * self._scale_px_m
+        # Decay of the largest scale per frame. Hands that move at 1 m/s change it by at most 2 % in 1/60 s.
+        # It halves in two seconds; until then a partly occluded patch does not reduce the scale.
+        self._kept_px_m = 0.995 * self._scale_px_m
         for patch in self.patches:
             self._unseen[patch] = 0 if patch in seen else self._unseen.get(patch, 0) + 1
-        self._remembered = {
-            patch: anchor for patch, anchor in self._anchors.items() if self._unseen[patch] <= _PATCH_FRAMES
-        }
+        # Number of frames for which the last position of an unseen patch is used: as long as a track is kept.
+        self._remembered = {patch: anchor for patch, anchor in self._anchors.items() if self._unseen[patch] <= 10}
         for name, memory in self._memory.items():
             where, anchor = seen.get(name), self._anchors.get(self._patch_of[name])
             if where is None:
@@ -222,5 +213,7 @@ class SharedPaints:
         if anchor is not None:
             reach_px = _REACH_M * self._scale_px_m
             beyond = math.hypot(spot.u - anchor.u, spot.v - anchor.v) - reach_px
-            fit -= 0.5 * (max(beyond, 0.0) / (_REACH_DEVIATION * reach_px)) ** 2
+            # Standard deviation of that distance, as a share of it: the patch's area gives the scale to 5
+            # to 10 %.
+            fit -= 0.5 * (max(beyond, 0.0) / (0.1 * reach_px)) ** 2
         return fit

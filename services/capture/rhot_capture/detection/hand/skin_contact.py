@@ -22,8 +22,6 @@ from rhot_capture.detection.color_table import pack
 from rhot_capture.detection.subpixel.batch import skin_ring
 from rhot_capture.detection.track import MarkerTrack
 
-_CONTACT: Final = 0.05
-"""Smallest share of the ring around a fingertip that is skin; 0.2 to 0.3 is usual (rendered pictures). Chosen."""
 _APART: Final = 0.02
 """Largest share around a blob apart from the hand: single pixels of a room have the colour of skin. Chosen."""
 _LASTS_FRAMES: Final = 30
@@ -52,7 +50,9 @@ class SkinContact:
     def update(self, shares: Mapping[str, float]) -> None:
         """Update with a frame: the share of skin around each marker that was detected."""
         for name, since in self._since.items():
-            self._since[name] = 0 if shares.get(name, 0.0) >= _CONTACT else min(since + 1, _LASTS_FRAMES)
+            # Smallest share of the ring around a fingertip that is skin; 0.2 to 0.3 is usual (rendered
+            # pictures). Chosen.
+            self._since[name] = 0 if shares.get(name, 0.0) >= 0.05 else min(since + 1, _LASTS_FRAMES)
 
     def fitting(
         self,

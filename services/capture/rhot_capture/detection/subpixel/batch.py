@@ -33,8 +33,6 @@ _LARGE_PX: Final = 64
 """Smallest blob, pixels, whose mask is enlarged by unlabelled paint beside it."""
 _UNLABELLED_PAINT: Final = np.float32(0.4)
 """t from which an unlabelled pixel beside a large blob is paint: the darkest shadow that differs from a rim."""
-_LEAST_GROWTH: Final = 1.15
-"""Smallest growth of a mask; only blobs with motion blur or shadow grow more. Otherwise the mask is not changed."""
 
 # Neighbourhoods: 8-connected, within 2.5 pixels, and within 2 steps of the 4-connected one.
 _SQUARE: Final = np.ones((3, 3), np.uint8)
@@ -204,7 +202,9 @@ class Batch:
 
     def _grow(self, k: int, paint: ImageArray) -> bool:
         """Add adjacent paint (H, W) to the mask of a blob if it grows considerably; return whether it did."""
-        much = _LEAST_GROWTH * self.area[k]
+        # Smallest growth of a mask; only blobs with motion blur or shadow grow more. Otherwise the mask is
+        # not changed.
+        much = 1.15 * self.area[k]
         if cv2.countNonZero(paint | self._inside[k]) < much:
             return False
         # Within three pixels of the blob, further than the rim extends.

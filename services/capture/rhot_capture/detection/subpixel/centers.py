@@ -37,9 +37,6 @@ _ROUNDS: Final = 2
 """Largest number of enlargements of a mask."""
 _LOCAL_FROM_PX: Final = 600
 """Smallest window for local levels, pixels; smaller ones have too little pure paint on the lit and the shaded side."""
-_MIN_SHARE_OF_MASK: Final = 0.5
-"""If the painted area is a smaller share of the mask, or the centre is outside the window, the shares are invalid and
-the mask is used."""
 
 
 def find_centres(windows: Sequence[Window], skin: ImageArray | None = None) -> list[Centre]:
@@ -86,10 +83,12 @@ def _measure(grids: Sequence[Grid], skin: ImageArray | None) -> list[Centre]:
     batch.clip(share)
     totals = batch.totals(share)
     x, y = batch.middle
+    # If the painted area is a smaller share of the mask, or the centre is outside the window, the shares are
+    # invalid and the mask is used.
     invalid = [
         k
         for k, (painted, (m00, m10, m01)) in enumerate(totals)
-        if painted < _MIN_SHARE_OF_MASK * batch.area[k] or not _within(grids[k], m10 + x * m00, m01 + y * m00, m00)
+        if painted < 0.5 * batch.area[k] or not _within(grids[k], m10 + x * m00, m01 + y * m00, m00)
     ]
     if invalid:
         share[invalid] = batch.insides[invalid]

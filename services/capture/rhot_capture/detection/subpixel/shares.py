@@ -18,12 +18,6 @@ LEAST: Final = -OVERSHOOT
 MOST: Final = np.float32(1.0) + OVERSHOOT
 
 
-_LOCAL_PX: Final = 1.7
-"""σ of the Gaussian weights of pure paint and surroundings, pixels; how it was chosen is not recorded."""
-_LOCAL_SIZE: Final = (11, 11)
-"""Pixels, ± 3 σ."""
-
-
 class Shares(NamedTuple):
     """Painted shares on a grid over a window.
 
@@ -70,8 +64,10 @@ def local_share(t: CoverageArray, weights: CoverageArray, shape: tuple[int, int]
     """
     levels = []
     for weight, default in zip(weights, (0.0, 1.0), strict=True):
+        # Σ of the Gaussian weights of pure paint and surroundings, pixels; how it was chosen is not recorded.
+        # Pixels, ± 3 σ.
         near, total = (
-            cv2.GaussianBlur(values.reshape(shape), _LOCAL_SIZE, _LOCAL_PX, borderType=cv2.BORDER_CONSTANT)
+            cv2.GaussianBlur(values.reshape(shape), (11, 11), 1.7, borderType=cv2.BORDER_CONSTANT)
             for values in (weight, weight * t)
         )
         level: CoverageArray = np.full(shape, default, np.float32)

@@ -6,17 +6,13 @@ measured on a coarser grid, which saves time.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from rhot.arrays import ImageArray
 from rhot_capture.detection.subpixel.shares import Shares
-
-_COARSE_FROM_PX: Final = 40
-"""Width or height from which a window is measured on a grid that is twice as coarse. On a coarser one, hardly any
-pixels of the surroundings would remain."""
 
 
 class Window(NamedTuple):
@@ -81,7 +77,9 @@ def grid_of(window: Window, coarse: bool = True) -> Grid:
         coarse: whether a coarser grid may be used for a large window.
     """
     height, width = window.mask.shape
-    if not coarse or max(height, width) < _COARSE_FROM_PX:
+    # Width or height from which a window is measured on a grid that is twice as coarse. On a coarser one, hardly
+    # any pixels of the surroundings would remain.
+    if not coarse or max(height, width) < 40:
         return Grid(window, 1, 0, 0, window.image, window.mask)
     # An odd row or column is dropped on a side without paint.
     top = 1 if height % 2 and window.mask[-1].any() else 0

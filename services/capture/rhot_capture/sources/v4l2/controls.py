@@ -15,8 +15,6 @@ from rhot.rig.config import CameraConfig
 from rhot.rig.picture_config import PICTURE_NEUTRAL
 from rhot_capture.sources.v4l2.picture import ControlRange
 
-_MANUAL_EXPOSURE: Final = 1.0
-"""`V4L2_EXPOSURE_MANUAL` of the menu of `V4L2_CID_EXPOSURE_AUTO`."""
 _EXPOSURE_UNIT_S: Final = 1e-4
 _TOLERANCE: Final = 0.1
 _ABSENT: Final = -1.0
@@ -55,8 +53,9 @@ class DriverControls:
 
     def set_exposure(self, exposure_s: float) -> list[str]:
         """Set manual exposure, and return the refused settings."""
+        # `V4L2_EXPOSURE_MANUAL` of the menu of `V4L2_CID_EXPOSURE_AUTO`.
         return [
-            *self.set("manual exposure", "CAP_PROP_AUTO_EXPOSURE", _MANUAL_EXPOSURE),
+            *self.set("manual exposure", "CAP_PROP_AUTO_EXPOSURE", 1.0),
             *self.set(f"exposure_s = {exposure_s:g}", "CAP_PROP_EXPOSURE", exposure_s / _EXPOSURE_UNIT_S),
         ]
 

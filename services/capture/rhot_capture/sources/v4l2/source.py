@@ -36,12 +36,6 @@ SOURCE_MASK: Final = 0x00070000
 """`V4L2_BUF_FLAG_TSTAMP_SRC_MASK`."""
 START_OF_EXPOSURE: Final = 0x00010000
 """`V4L2_BUF_FLAG_TSTAMP_SRC_SOE`; 0 in these bits is the end of the frame."""
-_CAPTURE: Final = 1
-"""`V4L2_BUF_TYPE_VIDEO_CAPTURE`."""
-_MMAP: Final = 1
-"""`V4L2_MEMORY_MMAP`, which OpenCV uses."""
-_MOST_BUFFERS: Final = 10
-"""OpenCV's `MAX_V4L_BUFFERS`."""
 
 
 class V4l2Buffer(ctypes.Structure):
@@ -120,7 +114,8 @@ class BufferQuery:
         Args:
             stamp_us: the frame's timestamp, which identifies its buffer.
         """
-        for index in range(_MOST_BUFFERS):
+        # OpenCV's `MAX_V4L_BUFFERS`.
+        for index in range(10):
             buffer = self._query(index)
             if buffer is None:
                 return None
@@ -146,7 +141,9 @@ class BufferQuery:
             os.close(handle)
 
     def _query(self, index: int) -> V4l2Buffer | None:
-        buffer = V4l2Buffer(index=index, type=_CAPTURE, memory=_MMAP)
+        # `V4L2_BUF_TYPE_VIDEO_CAPTURE`.
+        # `V4L2_MEMORY_MMAP`, which OpenCV uses.
+        buffer = V4l2Buffer(index=index, type=1, memory=1)
         try:
             self._ioctl(self._handle, VIDIOC_QUERYBUF, buffer)
         except OSError:
@@ -162,9 +159,6 @@ _SELECT_LIMIT: Final = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
 """Seconds after which OpenCV stops waiting for a frame (default 10); it reads this environment variable once."""
 _SILENCE_S: Final = 3.0
 """Time without a frame after which a camera counts as disconnected; useful cameras deliver at least 5 Hz."""
-_MAX_FAILED_READS: Final = 5
-"""Consecutive failed reads after which a camera counts as disconnected."""
-_MAX_TIMESTAMP_AGE_S: Final = 2.0
 
 
 class V4l2Source:
@@ -261,7 +255,8 @@ class V4l2Source:
             if frame is None:
                 failed += 1
                 silent_s = 1e-9 * (self._now_ns() - begun_ns)
-                if not self._closing.is_set() and (failed >= _MAX_FAILED_READS or silent_s >= _SILENCE_S):
+                # Consecutive failed reads after which a camera counts as disconnected.
+                if not self._closing.is_set() and (failed >= 5 or silent_s >= _SILENCE_S):
                     raise DeviceError(
                         f"camera {self._name}: {self._camera.device} stopped delivering {silent_s:.1f} s ago; "
                         "unplugged, or short of USB bandwidth (try a lower rate_hz or another port)"
@@ -402,7 +397,8 @@ class V4l2Source:
         """Return the driver's timestamp of the grabbed frame; None if it is implausible."""
         stamp_ns = 1000 * round(1e3 * float(capture.get(self._cv.CAP_PROP_POS_MSEC)))
         age_s = 1e-9 * (arrived_ns - stamp_ns)
-        if 0.0 <= age_s <= _MAX_TIMESTAMP_AGE_S:
+        max_timestamp_age_s = 2.0
+        if 0.0 <= age_s <= max_timestamp_age_s:
             return stamp_ns
         if self._trusts_driver:
             self._trusts_driver = False

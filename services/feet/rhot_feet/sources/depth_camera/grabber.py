@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from typing import Final
 
 from rhot.service.grabber import Grabber
 from rhot_feet.frames import DepthFrame, DepthSource
-
-_READ_S: Final = 0.5
 
 
 class DepthGrabber(Grabber[DepthFrame]):
@@ -27,7 +24,8 @@ class DepthGrabber(Grabber[DepthFrame]):
 
     def _read(self) -> Iterator[DepthFrame | None]:
         while not self._source.finished:
-            frame = self._source.read(_READ_S)
+            read_s = 0.5
+            frame = self._source.read(read_s)
             self.busy_s = time.thread_time()
             yield frame
             del frame

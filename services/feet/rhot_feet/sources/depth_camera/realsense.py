@@ -122,8 +122,6 @@ def camera_of(intrinsics: Any) -> CameraModel:
 
 _LOG = logging.getLogger(__name__)
 
-_GONE_AFTER_S: Final = 1.0
-"""Silence after which the SDK is asked whether the camera is still there."""
 _STALLED_AFTER_S: Final = 5.0
 _MAX_SEND_DELAY_MS: Final = 200.0
 """Between the middle of an exposure and the sending of its picture; more is no such pair of timestamps."""
@@ -305,7 +303,8 @@ class RealSenseSource:
 
     def _check_silence(self) -> None:
         silent_s = 1e-9 * (self._now_ns() - self._last_ns)
-        if silent_s < _GONE_AFTER_S:
+        # Silence after which the SDK is asked whether the camera is still there.
+        if silent_s < 1.0:
             return
         if self._serial not in describe_devices(self._sdk):
             raise DeviceError(

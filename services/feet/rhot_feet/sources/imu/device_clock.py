@@ -22,10 +22,6 @@ _DRIFT: Final = 100e-6
 _LONGEST_NS: Final = 1_000_000_000
 """A stamp that jumps by more, or backwards, is suspect. A sample that arrives this much earlier or later than expected
 means that the rig clock was set, because no serial line delays samples by a second."""
-_INTERLEAVED_NS: Final = 100_000_000
-"""Reports of one kind may be older than those of another by this much: ten samples of a sensor at 100 Hz."""
-_CONFIRMED: Final = 5
-"""Number of consecutive suspect stamps, consistent with each other, that mean that the sensor has restarted."""
 
 
 class DeviceClock:
@@ -83,7 +79,9 @@ class DeviceClock:
     def _follows(self, step_ns: int, last: tuple[int, int] | None) -> bool:
         """Whether a sample this much after the newest one of any kind can be the next of its own kind."""
         if last is None:
-            return -_INTERLEAVED_NS <= step_ns <= _LONGEST_NS
+            # Reports of one kind may be older than those of another by this much: ten samples of a sensor
+            # at 100 Hz.
+            return -100_000_000 <= step_ns <= _LONGEST_NS
         return step_ns <= _LONGEST_NS and self._device_ns + step_ns >= last[0]
 
     def _confirmed(self, stamp: int, kind: bytes) -> bool:
@@ -92,7 +90,9 @@ class DeviceClock:
         if doubted and not 0 <= self._step_ns(doubted[-1], stamp) <= _LONGEST_NS:
             doubted.clear()
         doubted.append(stamp)
-        return len(doubted) >= _CONFIRMED
+        # Number of consecutive suspect stamps, consistent with each other, that mean that the sensor has
+        # restarted.
+        return len(doubted) >= 5
 
     def _begin(self, stamp: int, arrival_ns: int) -> None:
         # Offsets are relative to the start, because a float cannot represent nanoseconds since the epoch.

@@ -32,8 +32,6 @@ _LINE: Final = re.compile(
 )
 _LONGEST_LINE: Final = 200
 """Bytes without a semicolon: noise, or another baud rate."""
-_MOST_ACCELERATION: Final = 160.0
-"""m/s² per axis: 16 g, the end of the sensor's scale."""
 _UNIT_BAND: Final = 0.05
 _TICKS_NS: Final = (1_000_000, 1_000)
 _STAMPS: Final = 12
@@ -131,7 +129,8 @@ class TextDecoder:
 
 def _plausible(kind: bytes, values: _Values) -> bool:
     if kind == b"L":
-        return len(values) == 3 and max(abs(value) for value in values) <= _MOST_ACCELERATION
+        # M/s² per axis: 16 g, the end of the sensor's scale.
+        return len(values) == 3 and max(abs(value) for value in values) <= 160.0
     return len(values) == 4 and abs(math.sqrt(sum(value * value for value in values)) - 1.0) <= _UNIT_BAND
 
 

@@ -16,9 +16,6 @@ from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import TrackSettings, outcome_of
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 
-_BRIDGED = 1.6
-"""When smoothing, a camera counts as seeing a marker if it saw it within this many frame periods both before and after:
-one frame may be lost."""
 _UPPER = np.triu_indices(3)
 _NEAR = 0.75
 """Or within this many frame periods before or after."""
@@ -155,7 +152,9 @@ def _around(camera: int, nodes: list[Node], period_s: float) -> list[tuple[list[
     """Return for each node the camera's nodes just before and just after it."""
     own = np.array([k for k, node in enumerate(nodes) if node.camera == camera], dtype=np.intp)
     times = np.array([nodes[k].t_s for k in own])
-    reach_s = _BRIDGED * period_s
+    # When smoothing, a camera counts as seeing a marker if it saw it within this many frame periods both before
+    # and after: one frame may be lost.
+    reach_s = 1.6 * period_s
     sides = []
     for node in nodes:
         first, middle = np.searchsorted(times, [node.t_s - reach_s, node.t_s])

@@ -28,10 +28,6 @@ _BRIDGE_S: Final = 0.25
 """Longest time between, seconds."""
 _BRIDGE_SCALE: Final = 5.0
 """Noise intensity of its motion between, m/s^1.5; a fast hand, see `MotionSettings.scales`."""
-_BRIDGE_GATE: Final = 22.5
-"""Squared Mahalanobis distance (6 degrees of freedom) beyond which the marker's covariance is inflated; exceeded by
-chance once in 1000.
-"""
 
 # The backward pass of smoothing.
 #
@@ -42,9 +38,6 @@ chance once in 1000.
 # A marker that was lost is initialised anew when it comes back. Each of its lives is smoothed by itself, and the last
 # state of the earlier one is then led to the beginning of the later one (`bridged`), so that what lies between is
 # interpolated.
-
-_JITTER: float = 1e-13
-"""Regularisation that keeps covariances of new markers invertible, m² and m²/s²."""
 
 
 def backward(steps: Sequence[tuple[Step, BoolArray]]) -> list[State]:
@@ -70,7 +63,8 @@ def _smoothed(own: State, following: Step, later: State, new: BoolArray) -> Stat
         return own
     rows, every, kept = _rows(both), _rows(own.alive), _rows(own.alive & ~new)
     before = following.before.P[np.ix_(rows, rows)]
-    before[np.diag_indices(len(rows))] += _JITTER
+    # Regularisation that keeps covariances of new markers invertible, m² and m²/s².
+    before[np.diag_indices(len(rows))] += 1e-13
     # The shared rotation makes the other markers depend on one that starts anew, but not on where it was before.
     moved = following.transition[np.ix_(rows, kept)] @ own.P[np.ix_(kept, every)]
     gain = np.linalg.solve(before, moved).T
@@ -104,7 +98,9 @@ def bridged(state: State, marker: int, start: State) -> State:
     gain = across @ inverse
     P = state.P - gain @ across.T
     wider = np.ones(len(P))
-    wider[rows] = math.sqrt(max(float(off @ inverse @ off) / _BRIDGE_GATE, 1.0))
+    # Squared Mahalanobis distance (6 degrees of freedom) beyond which the marker's covariance is inflated;
+    # exceeded by chance once in 1000.
+    wider[rows] = math.sqrt(max(float(off @ inverse @ off) / 22.5, 1.0))
     P = wider[:, None] * P * wider
     return State(state.t_s, state.x + gain @ off, 0.5 * (P + P.T), state.weight, state.alive)
 
@@ -129,7 +125,6 @@ def _rows(alive: BoolArray) -> IndexArray:
 
 _DOUBT = 4.0
 """Squared Mahalanobis distance from the smoothed path beyond which a view's variance is inflated in proportion."""
-_PASSES = 2
 
 
 @dataclass(slots=True)
@@ -228,7 +223,8 @@ def smooth(
     scale2 = _scales(evidence, [step.dt_s for step, _ in steps])
     states = backward(_forward(frames, count, settings, variance, scale2)[0])
     _extend(frames, states)
-    for _ in range(1, _PASSES):
+    passes = 2
+    for _ in range(1, passes):
         for frame, views in zip(frames, correct(frames, states), strict=True):
             frame.views = views
         variance = [

@@ -13,10 +13,6 @@ from rhot.geometry.covariances import squared_distances
 from rhot.geometry.rotations import shortest_rotation
 from rhot_ik.hand.filter.patch_rotation import FittedPatch, PatchRotation
 
-_MODEL_M: Final = 0.0022
-"""By how much any marker departs from a rigid model for reasons that come and go, each axis: skin slides over knuckles
-by millimetres, the middle of the paint that is seen wanders with the view.
-"""
 _CORNER_FACTOR: Final = 16.0
 """Covariance of a patch's corner about its middle over that of the middle, before anything is known. Corners are found
 half as surely as centroids (0.2 px beside 0.1, rendered G1) and come unfiltered: (2 · 2)².
@@ -190,7 +186,9 @@ class EvidenceModel:
         # Standard deviation of a point that states no covariance, root of the sum of the three variances.
         self._point = 0.0015**2 / 3.0 * _UNIT
         self._points = np.tile(self._point, (5, 1, 1))
-        self._floor = _MODEL_M**2 * _UNIT
+        # By how much any marker departs from a rigid model for reasons that come and go, each axis: skin
+        # slides over knuckles by millimetres, the middle of the paint that is seen wanders with the view.
+        self._floor = 0.0022**2 * _UNIT
         self._corner_noise = CornerNoise(_CORNER_FACTOR, _CORNER_SAMPLES[0])
         # At least 1 mm along each axis: the fitted corners of soft-edged paint.
         self._most_samples, self._corner_floor = _CORNER_SAMPLES[1], 0.001**2 * _UNIT
