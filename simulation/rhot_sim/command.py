@@ -25,8 +25,14 @@ from rhot.rig.feet_config import WalkProgram
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.service.stop import install_stop
 from rhot.text import as_argument
-from rhot_sim.comparison.feet import CollectedFeet, collect_feet, feet_figures
-from rhot_sim.comparison.feet_table import feet_summary, live_feet_table, stages_text
+from rhot_sim.comparison.feet import (
+    CollectedFeet,
+    collect_feet,
+    feet_figures,
+    feet_summary,
+    live_feet_table,
+    stages_text,
+)
 from rhot_sim.comparison.figures import service_figures
 from rhot_sim.comparison.table import machine_verdict, summary
 from rhot_sim.rig.folder import DEFAULT_ENDPOINT, with_motion, write_simulated_rig

@@ -8,8 +8,7 @@ import click
 import pytest
 
 from rhot.errors import ConfigError
-from rhot_bench.accuracy_page import HEADLINES, Part, accuracy_page, page, with_headlines
-from rhot_bench.results import load_results
+from rhot_bench.accuracy_page import HEADLINES, Part, accuracy_page, load_results, page, with_headlines
 from rhot_tools.measures.output import show
 from rhot_tools.measures.rows import Row, Section
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rhot_bench.accuracy_page import HEADLINES, accuracy_page, with_headlines
-from rhot_bench.results import load_results
+from rhot_bench.accuracy_page import HEADLINES, accuracy_page, load_results, with_headlines
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"

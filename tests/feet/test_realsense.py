@@ -12,7 +12,7 @@ from wall_clock import in_time
 
 from rhot.errors import DeviceError, HungDeviceError
 from rhot.rig.feet_config import DepthCameraConfig
-from rhot_feet.sources.depth_camera.grabber import DepthGrabber
+from rhot_feet.service import DepthGrabber
 from rhot_feet.sources.depth_camera.realsense import DepthFiltering, DepthPipeline, RealSenseSource, camera_of
 
 SENT_US, MIDDLE_US = 5_009_000, 5_000_000

@@ -8,7 +8,7 @@ from stub_rig import StubRig
 
 from rhot.anatomy.skeleton import CHAINS, JOINTS
 from rhot.messages import HandPose
-from rhot_viewer.scene.hand import (
+from rhot_viewer.scene.things import (
     BONE_COLOR,
     GHOST_SWELL,
     JOINT_COLOR,

@@ -26,8 +26,7 @@ from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
 from rhot_bench import processes
 from rhot_bench.feet.runs import COMPUTE_S, LEARN_S, SIDES, STAGES, Played, Run, Track, play
-from rhot_bench.feet.stages import CELLS, cell_plots, cell_rows
-from rhot_bench.feet.table_5_1 import TASKS, printed_m, table_5_1, table_5_1_rows
+from rhot_bench.feet.stages import CELLS, TASKS, cell_plots, cell_rows, printed_m, table_5_1, table_5_1_rows
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_tools.measures.html import html_report
 from rhot_tools.measures.output import counted, json_option, page_option, show

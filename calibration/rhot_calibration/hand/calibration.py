@@ -15,10 +15,9 @@ from rhot.errors import CalibrationError
 from rhot.messages import PointSet, Side
 from rhot.rig import HandFile, Rig
 from rhot.rig.calibration import WIDTH_OVER_LENGTH
-from rhot_calibration.hand.fit.fit import HandFit, fit
 from rhot_calibration.hand.fit.palm_rotations import palm_rotations
 from rhot_calibration.hand.fit.parameters import BONE_SD, COUNT, HUMAN_LENGTH_M, HandParameters
-from rhot_calibration.hand.fit.residuals import Chosen, FlatDistances, PalmFrame, StraightFingers
+from rhot_calibration.hand.fit.residuals import Chosen, FlatDistances, HandFit, PalmFrame, StraightFingers, fit
 from rhot_calibration.hand.samples.phases import (
     FEWEST_FLAT,
     FIND_PHASES,

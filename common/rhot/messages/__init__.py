@@ -26,23 +26,29 @@ from rhot.messages.base import (
     WireModel,
 )
 from rhot.messages.codec import MAX_PAYLOAD_BYTES, decode, encode, encoding_of, unpack, with_seq
-from rhot.messages.feet import BodyJoint, BodyPose, FootPose, LegAngles
-from rhot.messages.hand import FingerAngles, HandPose, Joint
 from rhot.messages.markers import Marker, MarkerFrame, Point, PointSet
 from rhot.messages.objects import (
+    BodyJoint,
+    BodyPose,
     BoxShape,
     CylinderShape,
     FacedShape,
+    FingerAngles,
+    FootPose,
+    HandPose,
     HeadPose,
+    Joint,
+    LegAngles,
     MeshShape,
     ObjectPose,
     ObjectShape,
+    Space,
     SphereShape,
+    TruePose,
+    Truth,
 )
 from rhot.messages.problems import first_problem
 from rhot.messages.services import ClockReply, Control, ServiceStatus
-from rhot.messages.spaces import Space
-from rhot.messages.truth import TruePose, Truth
 
 __all__ = [
     "MAX_PAYLOAD_BYTES",

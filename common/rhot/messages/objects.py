@@ -5,9 +5,223 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final, Literal
 
+import numpy as np
 from pydantic import Field, field_validator
 
-from rhot.messages.base import Label, Message, Name, Position, Quaternion, State, WireModel, unit_quaternion
+from rhot.messages.base import Label, Message, Name, Pose, Position, Quaternion, Side, State, WireModel, unit_quaternion
+
+# Feet, and the body computed from feet, head and hands.
+
+
+class FootPose(Message):
+    """One foot, from the feet service.
+
+    The foot's frame has its origin in the centre of the foot's marker, +X to the foot's right, +Y up out of the instep
+    and +Z from the toes to the heel.
+
+    Attributes:
+        side: left or right foot.
+        frame: frame of all vectors, `rig`.
+        position: metres.
+        orientation: unit quaternion x, y, z, w, foot frame to `frame`.
+        velocity: metres per second.
+        sigma: standard deviation of the position, metres (root of the sum of the three variances).
+        stage: best recent measurement: the `marker`, the foot's blob in the `depth` image, the `inertial` sensor alone,
+            or none (`lost`: the last position is held).
+        stationary: whether the foot stands still.
+        state: `measured` while marker, depth image or zero velocity confirm the position, else `predicted`.
+    """
+
+    side: Side
+    frame: Name
+    position: Position
+    orientation: Quaternion
+    velocity: tuple[float, float, float]
+    sigma: Annotated[float, Field(ge=0.0, le=1e3)]
+    stage: Literal["marker", "depth", "inertial", "lost"]
+    stationary: bool = False
+    state: State
+
+    _norm = field_validator("orientation")(unit_quaternion)
+
+
+class BodyJoint(Pose):
+    """One joint of the body.
+
+    When the person stands upright with hanging arms and palms towards the thighs, a joint's frame has +X to the body's
+    right, +Y up and +Z backwards. It is fixed to the bone that starts at the joint, along +Y or −Y: a knee's frame to
+    the shank, an ankle's and a foot's to the foot, a shoulder's to the upper arm, an elbow's to the forearm, a wrist's
+    to the hand.
+    """
+
+
+class LegAngles(WireModel):
+    """Joint angles of one leg, radians, all 0 when standing upright.
+
+    Attributes:
+        hip_flexion: of the thigh, positive forwards.
+        hip_abduction: of the thigh, positive away from the other leg.
+        hip_rotation: of the thigh about its own axis, positive with the toes outwards.
+        knee_flexion: never negative.
+        ankle_flexion: dorsiflexion, positive with the toes upwards.
+    """
+
+    hip_flexion: float
+    hip_abduction: float
+    hip_rotation: float
+    knee_flexion: float
+    ankle_flexion: float
+
+
+class BodyPose(Message):
+    """A body, from ik: hips, legs, trunk, head, and the arms of tracked hands.
+
+    Head, feet and wrists are measured; `inferred` names the joints between them, which are computed from the person's
+    segment lengths and typical postures.
+
+    Attributes:
+        frame: frame of all positions and orientations.
+        joints: `hips`, and for `left` and `right`: `<side>_hip`, `<side>_knee`, `<side>_ankle`, `<side>_foot` (the ball
+            of the foot). Above the hips `spine_lower`, `chest`, `neck`, `head` (the skull's base), and for a tracked
+            hand `<side>_shoulder`, `<side>_elbow`, `<side>_wrist`. OpenXR's names (XR_FB_body_tracking,
+            XR_BD_body_tracking).
+        angles: joint angles per leg.
+        legs: state of each leg's foot; an unknown leg is absent.
+        arms: state of each arm's hand; an arm whose hand is not tracked is absent.
+        inferred: joints that are not measured.
+        state: `measured` while the head and at least one foot are measured.
+    """
+
+    frame: Name
+    joints: Annotated[dict[Name, BodyJoint], Field(max_length=32)]
+    angles: Annotated[dict[Side, LegAngles], Field(max_length=2)]
+    legs: Annotated[dict[Side, State], Field(max_length=2)]
+    arms: Annotated[dict[Side, State], Field(max_length=2)] = {}
+    inferred: Annotated[tuple[Name, ...], Field(max_length=32)] = ()
+    state: State
+
+
+# Tracked objects and the headset.
+
+# A hand.
+
+
+class Joint(Pose):
+    """One joint of the hand.
+
+    Attributes:
+        orientation: unit quaternion x, y, z, w; OpenXR axes, +Z from tip to wrist, +Y out of the back of the hand.
+        radius: distance from the joint to the skin, metres.
+    """
+
+    radius: Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class FingerAngles(WireModel):
+    """Joint angles of one finger, radians; flexion is positive towards the palm.
+
+    Attributes:
+        mcp_flexion, mcp_abduction: metacarpophalangeal joint (knuckle); abduction is positive towards the thumb.
+        pip_flexion, dip_flexion: proximal and distal interphalangeal joints.
+    """
+
+    mcp_flexion: float
+    mcp_abduction: float
+    pip_flexion: float
+    dip_flexion: float
+
+
+class HandPose(Message):
+    """One hand, from ik.
+
+    Attributes:
+        side: left or right hand.
+        frame: frame of all positions and orientations.
+        joints: the 26 OpenXR joints by name.
+        angles: joint angles per finger; for the thumb, MCP is the carpometacarpal joint, PIP the metacarpophalangeal
+            and DIP the interphalangeal joint.
+        residual: distance between each finger's measured and modelled marker, metres; absent when not measured.
+        fingers: state of each finger.
+        state: `measured` when the palm and at least one finger are measured.
+    """
+
+    side: Side
+    frame: Name
+    joints: Annotated[dict[Name, Joint], Field(max_length=64)]
+    angles: Annotated[dict[Name, FingerAngles], Field(max_length=8)]
+    residual: Annotated[dict[Name, Annotated[float, Field(ge=0.0, le=1e3)]], Field(max_length=8)]
+    fingers: Annotated[dict[Name, State], Field(max_length=8)] = {}
+    state: State
+
+
+# Tracked objects and the headset.
+
+# Further frames with a known pose in the rig frame: the floor, a tracking system's space.
+
+Row = tuple[float, float, float, float]
+Matrix4 = tuple[Row, Row, Row, Row]
+
+
+class Space(Message):
+    """A further frame and its pose in the rig frame.
+
+    Attributes:
+        T_rig_space: rigid transform that maps coordinates of the space to the rig frame; 4x4 by rows, metres.
+        source: method of its calibration, such as `steamvr registration` or `desk board`.
+        residual_m: residual of the calibration, metres; absent if not known.
+    """
+
+    T_rig_space: Matrix4
+    source: Label
+    residual_m: Annotated[float, Field(ge=0.0, le=1e3)] | None = None
+
+    @field_validator("T_rig_space")
+    @classmethod
+    def _rigid(cls, value: Matrix4) -> Matrix4:
+        T = np.array(value)
+        R = T[:3, :3]
+        if (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
+            raise ValueError("the last row of T_rig_space must be 0 0 0 1")
+        orthonormal = 1e-3
+        if float(np.abs(R @ R.T - np.eye(3)).max()) > orthonormal or float(np.linalg.det(R)) < 0.0:
+            raise ValueError("T_rig_space is no rigid transform: its rotation is not orthonormal and right-handed")
+        if float(np.abs(T[:3, 3]).max()) > 1e3:
+            raise ValueError("T_rig_space moves by more than 1000 m")
+        return value
+
+
+# Tracked objects and the headset.
+
+# Ground truth of a simulated world.
+
+
+class TruePose(Pose):
+    """A pose of the simulated world."""
+
+
+class Truth(Message):
+    """Ground truth of the simulated world, rig frame: 60 Hz while there is a subscriber, 10 Hz otherwise.
+
+    Attributes:
+        frame: frame of all poses, `rig`.
+        points: centre of each marker's painted volume, metres.
+        hands: side to OpenXR joint name to pose.
+        objects: object id to pose.
+        head: pose of the headset.
+        feet: side to pose, see `FootPose`.
+        body: joint name to pose, see `BodyPose`.
+    """
+
+    frame: Name
+    points: Annotated[dict[Name, Position], Field(max_length=256)]
+    hands: Annotated[dict[Name, dict[Name, TruePose]], Field(max_length=2)]
+    objects: Annotated[dict[Name, TruePose], Field(max_length=64)]
+    head: TruePose | None = None
+    feet: Annotated[dict[Side, TruePose], Field(max_length=2)] = {}
+    body: Annotated[dict[Name, TruePose], Field(max_length=32)] = {}
+
+
+# Tracked objects and the headset.
 
 Size = Annotated[float, Field(gt=0.0, le=10.0)]
 """Length of an edge, radius or height, metres."""

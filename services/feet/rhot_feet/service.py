@@ -6,9 +6,10 @@ import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 import cv2
@@ -17,12 +18,13 @@ from pydantic import BaseModel
 from rhot.bus import EventSubscriber
 from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, FootPose, HeadPose, Side
+from rhot.plugins import load_simulated
 from rhot.rig import Rig
-from rhot.rig.feet_config import FeetConfig
+from rhot.rig.feet_config import FeetConfig, ImuConfig
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
-from rhot.service.grabber import GrabberCounts
+from rhot.service.grabber import Grabber, GrabberCounts
 from rhot.service.rig_files import serve_rig_files
 from rhot.service.spaces import publish_spaces
 from rhot_feet.foot_core import FootCore
@@ -30,9 +32,108 @@ from rhot_feet.frames import DepthFrame, DepthSource
 from rhot_feet.imu.samples import ImuSource
 from rhot_feet.input_stream import CAMERA, InputStream
 from rhot_feet.preview import FeetPreview
-from rhot_feet.sources.depth_camera.factory import open_depth_source
-from rhot_feet.sources.depth_camera.grabber import DepthGrabber
-from rhot_feet.sources.imu.factory import plan_sensors
+from rhot_feet.sources.imu.recorded import RecordedSource
+from rhot_feet.sources.imu.serial import SerialSource
+
+# Make the source that the rig folder asks for.
+
+
+def make_imu_source(config: ImuConfig, folder: Path, simulated: ImuSource | None = None) -> ImuSource:
+    """Return the source of one ankle's sensor, not yet open.
+
+    Args:
+        config: of the sensor.
+        folder: of the rig; a recording's path counts from it.
+        simulated: the sensor of the simulated world, where there is one.
+
+    Raises:
+        ConfigError: a simulated sensor is asked for outside of a simulation.
+    """
+    if config.source == "serial":
+        return SerialSource(config)
+    if config.source == "recorded":
+        return RecordedSource(folder / (config.path or ""), loop=config.loop)
+    if simulated is None:
+        raise ConfigError(
+            'imu source = "simulated" exists only in `rhot sim --feet`; name a serial port or a recording'
+        )
+    return simulated
+
+
+def plan_sensors(rig: Rig, feet: FeetConfig) -> dict[Side, ImuSource]:
+    """Return the inertial sensors of a rig by foot, not yet open; all simulated ones share one world.
+
+    Raises:
+        ConfigError: a sensor cannot be what the rig says.
+    """
+    configs = {side: foot.imu for side, foot in feet.feet.items() if foot.imu is not None}
+    simulated: dict[Side, ImuSource] = {}
+    if any(config.source == "simulated" for config in configs.values()):
+        simulated = load_simulated("imu")(rig, list(configs))
+    return {side: make_imu_source(config, rig.path, simulated.get(side)) for side, config in configs.items()}
+
+
+# The feet service: depth camera, ankle sensors and the head's poses in, `rhot/foot/<side>` out.
+
+# Choosing a depth camera by its kind in `rig.toml`; each kind is imported only when it is asked for.
+
+
+def open_depth_source(rig: Rig, now_ns: Callable[[], int]) -> DepthSource:
+    """Return the depth camera of a rig, not yet opened.
+
+    Args:
+        rig: the loaded rig.
+        now_ns: rig time.
+
+    Raises:
+        ConfigError: the rig has no feet.
+    """
+    feet = rig.config.feet
+    if feet is None:
+        raise ConfigError(f"{rig.path / 'rig.toml'} has no [feet]; add [feet.left] or [feet.right] with marker_id")
+    camera = feet.camera
+    if camera.source == "realsense":
+        from rhot_feet.sources.depth_camera.realsense import RealSenseSource  # noqa: PLC0415
+
+        return RealSenseSource(camera, now_ns)
+    if camera.source == "recorded":
+        from rhot_feet.sources.depth_camera.recorded import RecordedDepthSource  # noqa: PLC0415
+        from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording  # noqa: PLC0415
+
+        path = rig.resolve(camera.path or "")
+        return RecordedDepthSource(lambda: load_depth_recording(path), now_ns, loop=camera.loop)
+    source: DepthSource = load_simulated("depth_camera").from_rig(rig, now_ns)
+    return source
+
+
+# The feet service: depth camera, ankle sensors and the head's poses in, `rhot/foot/<side>` out.
+
+# The newest picture of a depth camera; see `rhot.service.grabber`.
+
+
+class DepthGrabber(Grabber[DepthFrame]):
+    """Reads an opened source on its own thread.
+
+    Attributes:
+        busy_s: processor time of the thread: the driver's work and, in a simulation, the drawing.
+    """
+
+    def __init__(self, source: DepthSource) -> None:
+        """Prepare to read a source; `open` opens it."""
+        super().__init__("depth camera", self._read, source.close)
+        self._source = source
+        self.busy_s = 0.0
+
+    def _read(self) -> Iterator[DepthFrame | None]:
+        while not self._source.finished:
+            read_s = 0.5
+            frame = self._source.read(read_s)
+            self.busy_s = time.thread_time()
+            yield frame
+            del frame
+
+
+# The feet service: depth camera, ankle sensors and the head's poses in, `rhot/foot/<side>` out.
 
 logger = logging.getLogger(__name__)
 

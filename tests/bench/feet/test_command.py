@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from rhot.errors import ConfigError
 from rhot_bench.feet.command import RUNS, feet, feet_sections, key_of, load_played, make_folder, save_played
 from rhot_bench.feet.runs import SIDES, STAGES, Played, Run, Track, play
-from rhot_bench.feet.stages import CELLS, cell_plots
-from rhot_bench.feet.table_5_1 import PRINTED_M, TASKS, table_5_1
+from rhot_bench.feet.stages import CELLS, PRINTED_M, TASKS, cell_plots, table_5_1
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_tools.measures.provenance import provenance
 

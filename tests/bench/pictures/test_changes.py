@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rhot_bench.pictures.changes import CHANGES, changed_copy
+from rhot_bench.pictures.command import CHANGES, changed_copy
 
 CALIBRATION = {
     "image_size": [640, 480],

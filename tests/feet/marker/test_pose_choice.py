@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot_feet.marker.orientation_track import OrientationTrack
 from rhot_feet.marker.pose import MarkerPose, marker_poses, square_corners, view_square
-from rhot_feet.marker.pose_choice import OrientationPrior, choose_pose
+from rhot_feet.marker.tracker import OrientationPrior, choose_pose
 
 CAMERA = depth_camera()
 Float = NDArray[np.float64]

@@ -18,10 +18,16 @@ from rhot.errors import ConfigError, DeviceError
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_x
 from rhot.rig.feet_config import BodyConfig, ImuConfig
 from rhot_feet.imu.samples import ImuSamples
-from rhot_feet.sources.imu.device_clock import DeviceClock
-from rhot_feet.sources.imu.factory import make_imu_source
+from rhot_feet.service import make_imu_source
 from rhot_feet.sources.imu.recorded import RecordedSource, read_samples
-from rhot_feet.sources.imu.serial import BinaryDecoder, SerialSource, TextDecoder, encode_binary, encode_text
+from rhot_feet.sources.imu.serial import (
+    BinaryDecoder,
+    DeviceClock,
+    SerialSource,
+    TextDecoder,
+    encode_binary,
+    encode_text,
+)
 from rhot_sim.sources.imu import SimulatedSource
 from rhot_sim.walker.world import WalkerWorld
 

@@ -7,7 +7,7 @@ import pytest
 
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame
-from rhot_fusion.views.guard import StreamGuard
+from rhot_fusion.core import StreamGuard
 
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot_sim.rendering.picture_settings import with_picture
+from rhot_sim.sources.camera import with_picture
 
 IMAGE = np.array([[[40, 60, 200], [128, 127, 128], [90, 90, 90]]], np.uint8)
 NEUTRAL = {"saturation": 1.0, "contrast": 1.0, "brightness": 0.0}

@@ -13,8 +13,7 @@ from hand_messages import hand_pose, object_pose
 
 from rhot.errors import ConfigError
 from rhot.messages import MeshShape, Message, ObjectPose
-from rhot_tools.export.c3d_file import write_c3d
-from rhot_tools.export.frames import MAX_GAP_S, Frames, frames_of, real_rate_hz
+from rhot_tools.export.frames import MAX_GAP_S, Frames, frames_of, real_rate_hz, write_c3d
 from rhot_tools.export.gltf import mesh_of
 from rhot_tools.export.poses import motions
 from rhot_tools.export.skeleton_motion import skeleton_motion

@@ -16,8 +16,7 @@ from rhot.errors import ConfigError
 from rhot.keys import credentials, load_roles
 from rhot.rig.folder import RIG_FILE, load_config, load_rig
 from rhot.rig.toml_edit import change_rig_file
-from rhot_tools.keys.bundle import install_bundle
-from rhot_tools.keys.command import keys
+from rhot_tools.keys.command import install_bundle, keys
 from rhot_tools.operate.findings import check_bus
 
 

@@ -13,7 +13,7 @@ from rhot.geometry.rotations import rotation_x
 from rhot.geometry.transforms import rigid
 from rhot.messages import HandPose, Joint
 from rhot.rig import BusConfig, RegistrationFile, Rig, RigidTransform, StageFile, load_rig, write_json_model
-from rhot_tools.operate.stage_check import check_hands, check_stage
+from rhot_tools.operate.doctor import check_hands, check_stage
 
 DESK_Z_M, DESK_HEIGHT_M = 0.85, 0.74
 TRUE = rigid(

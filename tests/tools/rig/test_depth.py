@@ -15,7 +15,7 @@ from rhot.messages import MarkerFrame, Truth
 from rhot.rig import BusConfig, Rig
 from rhot_calibration.depth.fit import fit_power_law
 from rhot_tools.measures.rows import Row
-from rhot_tools.rig import session
+from rhot_tools.rig import heard as session
 from rhot_tools.rig.depth import (
     DepthRow,
     depth_plot,

@@ -8,8 +8,8 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
+from rhot_viewer.browser.guard import dress, wants_light
 from rhot_viewer.browser.rig_scene import Shown
-from rhot_viewer.browser.shell import dress, wants_light
 
 VISER = b"<html><head><title>Viser</title></head><body></body></html>"
 

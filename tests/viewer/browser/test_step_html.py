@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rhot.calibration_step import Figures, Remark, StepView
-from rhot_viewer.browser.step_html import bar_html, path_html, remarks_html, tables_html
+from rhot_viewer.panels.calibrate import bar_html, path_html, remarks_html, tables_html
 
 NASTY = "<script>&"
 

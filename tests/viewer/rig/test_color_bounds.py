@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rhot_capture.color_bounds import ColorBounds
-from rhot_viewer.rig.color_bounds import BoundsSliders, bounds_html, change_to, sliders_of
+from rhot_viewer.panels.cameras import BoundsSliders, bounds_html, change_to, sliders_of
 
 
 def settings(hue_deg: tuple[float, float], in_force: bool = True) -> dict[str, Any]:

@@ -13,9 +13,8 @@ from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig, HandFile, Rig, write_json_model
 from rhot.rig.folder import load_config
 from rhot.service.clock_sync import serve_clock
-from rhot_viewer.panels.calibrate import SimulatedWorld, is_simulated
-from rhot_viewer.rig import sessions
-from rhot_viewer.rig.sessions import Sessions
+from rhot_viewer.panels import calibrate as sessions
+from rhot_viewer.panels.calibrate import Sessions, SimulatedWorld, is_simulated
 
 
 def test_only_files_that_sessions_read_begin_one(rig: Rig) -> None:

@@ -6,15 +6,163 @@ as `MAX_GAP_S`; where there is none, the frame holds nothing (NaN).
 
 from __future__ import annotations
 
+import importlib
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
+from rhot.atomic_file import replacing
+from rhot.errors import ConfigError
 from rhot_tools.export.poses import Motion, frame_times_s
+
+# C3D (biomechanics, c3d.org), for Mokka, Visual3D, MATLAB and others: markers in millimetres at a steady rate.
+#
+# A marker that is absent from a frame has the residual −1, which C3D programs show as a gap. Frames are numbered with
+# 16 bits: of longer takes every reader tried shows the first 65,535 frames and no more, so they go into several
+# files.
+
+MM_PER_M: Final = 1e3
+"""C3D programs expect millimetres, whatever POINT:UNITS says."""
+
+
+MOST_FRAMES: Final = 65_000
+"""Of one file."""
+
+
+def write_c3d(file: Path, frames: Frames, *, y_up: bool) -> list[Path]:
+    """Write markers, and return the files: of longer takes `grasp-001.c3d` and so on, each from its own time 0.
+
+    Args:
+        file: to write.
+        frames: the markers.
+        y_up: whether the vertical is known to be y; told to programs that draw the scene.
+
+    Raises:
+        ConfigError: ezc3d is not installed, or the file cannot be written.
+    """
+    try:
+        ezc3d = importlib.import_module("ezc3d")
+    except ModuleNotFoundError as error:
+        raise ConfigError("--c3d needs the Python module ezc3d; pip install 'rhot[c3d]'") from error
+    starts = range(0, len(frames.t_s), MOST_FRAMES)
+    files = [file] if len(starts) == 1 else [file.with_stem(f"{file.stem}-{k:03d}") for k in range(1, len(starts) + 1)]
+    for part, start in zip(files, starts, strict=True):
+        _write(ezc3d, part, frames, frames.positions[start : start + MOST_FRAMES], y_up)
+    return files
+
+
+def _write(ezc3d: Any, file: Path, frames: Frames, metres: FloatArray, y_up: bool) -> None:
+    """Write one file of positions (F, M, 3), metres."""
+    positions = MM_PER_M * np.moveaxis(metres, 0, -1)
+    absent: NDArray[np.bool_] = np.asarray(np.isnan(positions).any(axis=1))
+    positions = np.where(absent[:, None], 0.0, positions)
+    made = ezc3d.c3d()
+    point = made["parameters"]["POINT"]
+    point["UNITS"]["value"] = ["mm"]
+    point["RATE"]["value"] = [frames.rate_hz]
+    point["LABELS"]["value"] = list(frames.markers)
+    point["DESCRIPTIONS"]["value"] = list(frames.markers)
+    if y_up:
+        made.add_parameter("POINT", "X_SCREEN", ["+X"])
+        made.add_parameter("POINT", "Y_SCREEN", ["+Y"])
+    ones = np.ones((1, *positions.shape[::2]))
+    made["data"]["points"] = np.concatenate([positions.transpose(1, 0, 2), ones])
+    made["data"]["meta_points"]["residuals"] = np.where(absent, -1.0, 0.0)[None]
+    made["data"]["meta_points"]["camera_masks"] = np.zeros((7, *absent.shape), dtype=bool)
+    with replacing(file) as part, tempfile.TemporaryDirectory(dir=file.parent, prefix=".rhot-c3d-") as folder:
+        # ezc3d appends the suffix to any other name.
+        whole = Path(folder) / "whole.c3d"
+        made.write(str(whole))
+        part.write_bytes(whole.read_bytes())
+
+
+# Everything that moves, read at common moments: files of biomechanics hold frames at one steady rate.
+
+# TRC (positions of markers) and MOT (joint angles) as OpenSim reads them.
+#
+# Formats: OpenSim's documentation, "Marker (.trc) Files" and "Motion (.mot) Files". Lengths are metres (`Units m`),
+# time is rig time from the first pose, angles are degrees. What is absent from a frame is `nan`, as OpenSim itself
+# writes it: empty cells at the end of a line it refuses.
+#
+# Legs carry the names and signs of OpenSim's full-body model (Rajagopal et al. 2016, "Full-Body Musculoskeletal Model
+# for Muscle-Driven Simulation of Human Gait"): with s = r or l,
+#
+#     hip_flexion_s = hip_flexion, hip_adduction_s = −hip_abduction, hip_rotation_s = −hip_rotation (inwards),
+#     knee_angle_s = knee_flexion,  ankle_angle_s = ankle_flexion.
+#
+# Fingers and wrist carry our own names, `hand_right_index_mcp_flexion`: no model of a hand is standard.
+
+_LEG_ANGLES: Final = {
+    "hip_flexion": ("hip_flexion", 1.0),
+    "hip_abduction": ("hip_adduction", -1.0),
+    "hip_rotation": ("hip_rotation", -1.0),
+    "knee_flexion": ("knee_angle", 1.0),
+    "ankle_flexion": ("ankle_angle", 1.0),
+}
+"""Our angle to OpenSim's coordinate and its sign."""
+
+
+def trc_text(frames: Frames, name: str) -> str:
+    """Return the TRC file of the markers; `name` is that of the file."""
+    count, markers = len(frames.t_s), len(frames.markers)
+    rate = f"{frames.rate_hz:.6f}"
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{count}\t{markers}\tm\t{rate}\t1\t{count}",
+        "Frame#\tTime\t" + "\t\t\t".join(frames.markers) + "\t\t",
+        "\t\t" + "\t".join(f"{axis}{number}" for number in range(1, markers + 1) for axis in "XYZ"),
+        "",
+    ]
+    for number, (t_s, row) in enumerate(zip(frames.t_s, frames.positions.reshape(count, -1), strict=True), start=1):
+        cells = (f"{value:.6f}" for value in row.tolist())
+        lines.append(f"{number}\t{t_s:.6f}\t" + "\t".join(cells))
+    return "\n".join(lines) + "\n"
+
+
+def mot_text(frames: Frames, name: str) -> str:
+    """Return the MOT file of the joint angles; `name` is that of the motion."""
+    columns = coordinates_deg(frames)
+    lines = [
+        name,
+        "version=1",
+        f"nRows={len(frames.t_s)}",
+        f"nColumns={1 + len(columns)}",
+        "inDegrees=yes",
+        "",
+        "Units are S.I. units (second, meters, Newtons, ...)",
+        "Angles are in degrees.",
+        "",
+        "endheader",
+        "\t".join(["time", *columns]),
+    ]
+    rows = np.column_stack(list(columns.values())) if columns else np.empty((len(frames.t_s), 0))
+    for t_s, row in zip(frames.t_s.tolist(), rows.tolist(), strict=True):
+        lines.append("\t".join([f"{t_s:.6f}", *(f"{value:.6f}" for value in row)]))
+    return "\n".join(lines) + "\n"
+
+
+def coordinates_deg(frames: Frames) -> dict[str, FloatArray]:
+    """Return the columns of a MOT file, (F,) degrees, by OpenSim's names where it has one."""
+    columns: dict[str, FloatArray] = {}
+    for name, values in frames.angles.items():
+        part, _, angle = name.partition("_")
+        side, _, angle = angle.partition("_")
+        if part == "body" and angle in _LEG_ANGLES:
+            coordinate, sign = _LEG_ANGLES[angle]
+            columns[f"{coordinate}_{side[0]}"] = sign * np.degrees(values)
+        else:
+            columns[name] = np.degrees(values)
+    return columns
+
+
+# Everything that moves, read at common moments: files of biomechanics hold frames at one steady rate.
 
 MAX_GAP_S: Final = 0.1
 """Longest pause between two poses that is bridged: a hand that turns back with 10 m/s² leaves the straight line by

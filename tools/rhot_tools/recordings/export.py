@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -11,26 +11,49 @@ import click
 import numpy as np
 from rich.console import Console
 
+from rhot.arrays import FloatArray
 from rhot.atomic_file import replacing
 from rhot.cli.options import FiniteRange
 from rhot.errors import ConfigError
-from rhot.messages import Side
+from rhot.geometry.transforms import inverse
+from rhot.messages import Message, Side, Space
 from rhot.rig import CameraCalibration, Rig, load_rig
 from rhot.rig.folder import write_text_atomic
 from rhot_tools.export.bvh import RIG_TO_FILE, STAGE_TO_FILE, bvh_text
-from rhot_tools.export.c3d_file import MOST_FRAMES, write_c3d
 from rhot_tools.export.columns import tables
-from rhot_tools.export.frames import frames_of
+from rhot_tools.export.frames import MOST_FRAMES, coordinates_deg, frames_of, mot_text, trc_text, write_c3d
 from rhot_tools.export.gltf import gltf_document
-from rhot_tools.export.opensim import coordinates_deg, mot_text, trc_text
 from rhot_tools.export.poses import Motion, motions
 from rhot_tools.export.rerun_file import write_rerun
 from rhot_tools.export.skeleton_motion import skeleton_motion
 from rhot_tools.export.source import RecordedMessages, joined_parts
-from rhot_tools.export.stage_axes import NO_STAGE, stage_of
 from rhot_tools.export.table_files import write_csv, write_parquet
 from rhot_tools.recordings.beside import StoredPicture, attached_rig, pictures_beside, stored_pictures
 from rhot_tools.trial.verdict import judged_recording
+
+# Which frame an export stands in: the stage (y up, origin on the floor) where it is known, else the rig's own.
+#
+# A recording of `rhot record` holds what was published on `rhot/space/stage`; the last of it counts. Else the rig
+# folder knows, the one that is named or the one inside the recording.
+
+STAGE_KEY = "rhot/space/stage"
+NO_STAGE = (
+    "no floor is known: the file is in the rig's own frame, whose axes are those of the first camera; `rhot calibrate "
+    "stage` finds the floor, --rig names a rig folder that knows it"
+)
+
+
+def stage_of(messages: Iterable[tuple[str, Message]], rig: Rig | None) -> FloatArray | None:
+    """Return T_stage_rig (4, 4), metres; None where nobody knows it."""
+    spaces = [message for key, message in messages if key == STAGE_KEY and isinstance(message, Space)]
+    if spaces:
+        return inverse(np.array(spaces[-1].T_rig_space))
+    if rig is not None and rig.stage is not None:
+        return inverse(rig.stage.T_rig_stage.matrix)
+    return None
+
+
+# `rhot export`: a recording as tables, as an animation, or for a viewer of robots' data.
 
 # The files of `rhot export` that hold motion: BVH, TRC, MOT, C3D and glTF, in the stage where the floor is known.
 

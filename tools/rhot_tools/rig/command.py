@@ -39,12 +39,10 @@ from rhot_tools.measures.rows import Row, Section, check_output
 from rhot_tools.recordings.beside import pictures_beside
 from rhot_tools.rig.depth import depth_plot, depth_sections
 from rhot_tools.rig.grasps import grasps
-from rhot_tools.rig.heard import Heard, listen
+from rhot_tools.rig.heard import Heard, depth_rows, listen, pictures_of
 from rhot_tools.rig.jitter import jitter_plots, jitter_sections, still_jitter
 from rhot_tools.rig.latency import latencies_of, latency_sections, thread_section
-from rhot_tools.rig.rows import figure_row
-from rhot_tools.rig.session import depth_rows, pictures_of
-from rhot_tools.rig.statistics import mean, root_mean_square
+from rhot_tools.rig.statistics import figure_row, mean, root_mean_square
 
 # What is true of a simulated rig: its cameras, when they exposed their frames, and its focal length times baseline.
 

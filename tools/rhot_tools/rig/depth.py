@@ -23,8 +23,7 @@ from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, 
 from rhot_fusion.filter.systematic import CALIBRATION_DOUBT
 from rhot_fusion.filter.tracker import CALIBRATION_PX
 from rhot_tools.measures.rows import Row, Section
-from rhot_tools.rig.rows import figure_row, truth_row
-from rhot_tools.rig.statistics import COVERAGE, Figure, mean
+from rhot_tools.rig.statistics import COVERAGE, Figure, figure_row, mean, truth_row
 
 _CM: Final = 100.0
 _LEAST_SAMPLES: Final = 10

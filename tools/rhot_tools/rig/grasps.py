@@ -8,19 +8,55 @@ from typing import Final
 
 import numpy as np
 
-from rhot.anatomy.skeleton import FINGERS
+from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
-from rhot.messages import HandPose, ObjectPose, Point, PointSet, Side
+from rhot.messages import HandPose, Message, ObjectPose, Point, PointSet, Side, Truth
+from rhot.messages.base import Pose
 from rhot.rig import Rig
+from rhot_tools.export.poses import motions
 from rhot_tools.grasp.figures import GraspFigures, drift_m, grasp_figures, grasp_sections, pinch, rows_of
-from rhot_tools.grasp.session import TIPS, GraspSession, grasp_session
-from rhot_tools.grasp.truth import true_session
+from rhot_tools.grasp.pickups import as_true
+from rhot_tools.grasp.session import TIPS, GraspSession, grasp_session, poses_at
 from rhot_tools.measures.estimates import covariance_of
 from rhot_tools.measures.rows import Row, Section
 from rhot_tools.rig.heard import Heard
-from rhot_tools.rig.rows import figure_row, truth_row
-from rhot_tools.rig.statistics import Figure
+from rhot_tools.rig.statistics import Figure, figure_row, truth_row
+
+# A grasping session as the simulated world's own messages tell it.
+
+_PARTS = (*JOINTS, "object")
+
+
+def true_session(session: GraspSession, truth: Sequence[Truth], side: str, item: str) -> GraspSession | None:
+    """Return the same moments with the true hand and object; None where the truth does not tell them throughout.
+
+    Args:
+        session: as tracked.
+        truth: of the simulated world, in order of time.
+        side: of the hand.
+        item: id of the object.
+    """
+    known = [each for each in truth if side in each.hands and item in each.objects]
+    if len(known) < 2 or known[0].t_ns > session.t_ns[0] or known[-1].t_ns < session.t_ns[-1]:
+        return None
+    rigid: list[tuple[str, Message]] = []
+    for each in known:
+        poses: dict[str, Pose] = {**each.hands[side], "object": each.objects[item]}
+        rigid += [(f"rhot/object/{part}", _posed(each, poses[part])) for part in _PARTS]
+    found = motions(rigid)
+    parts = {part: poses_at(found[f"object_{part}"], session.t_ns) for part in _PARTS}
+    joints = np.stack([parts[joint][:, :3, 3] for joint in JOINTS], axis=1)
+    return as_true(session, joints, parts["palm"][:, :3, :3], parts["object"])
+
+
+def _posed(truth: Truth, pose: Pose) -> ObjectPose:
+    return ObjectPose(
+        t_ns=truth.t_ns, frame=truth.frame, position=pose.position, orientation=pose.orientation, state="measured"
+    )
+
+
+# How a hand takes hold of an object, with what the tracker itself says its fingertips may be off.
 
 TimeArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 

@@ -26,8 +26,7 @@ from rhot.report.svg import Bar, bar_plot
 from rhot_tools.measures.rows import Row, Section
 from rhot_tools.measures.streams import REST_PX
 from rhot_tools.rig.heard import Heard
-from rhot_tools.rig.rows import figure_row, truth_row
-from rhot_tools.rig.statistics import Figure, spread_of_stretches
+from rhot_tools.rig.statistics import Figure, figure_row, spread_of_stretches, truth_row
 
 TimeArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 Span = tuple[int, int]

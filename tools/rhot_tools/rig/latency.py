@@ -15,8 +15,7 @@ from rhot.messages import MarkerFrame
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_tools.measures.rows import Row, Section
 from rhot_tools.rig.heard import Heard
-from rhot_tools.rig.rows import figure_row, truth_row
-from rhot_tools.rig.statistics import Figure, deviation, mean
+from rhot_tools.rig.statistics import Figure, deviation, figure_row, mean, truth_row
 
 _MS: Final = 1e3
 _THESIS: Final = {"detection": "thesis: 17–19 ms on a Pi 3"}

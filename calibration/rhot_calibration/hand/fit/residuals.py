@@ -15,24 +15,74 @@ are compared with those of the model.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_from_vector
 from rhot_calibration.hand.fit.palm_rotations import PalmRotations
 from rhot_calibration.hand.fit.parameters import (
     ABDUCTION,
+    BONE_SD,
+    PRIOR_SD,
     SLACK,
     SLACK_BENT,
     SLACK_M,
     TILT,
+    TYPED_SD_M,
     HandParameters,
 )
 from rhot_calibration.hand.samples.samples import HandSamples
+
+# The most probable hand, by least squares over few parameters, and what it leaves uncertain.
+
+Residuals = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class HandFit:
+    """The fitted hand.
+
+    Attributes:
+        x: (COUNT,) parameters.
+        covariance: (COUNT, COUNT) of them, as the assumed noise has it.
+    """
+
+    x: FloatArray
+    covariance: FloatArray
+
+
+def fit(evidence: Residuals, parameters: HandParameters, x: FloatArray, typed_length_m: float | None) -> HandFit:
+    """Return the maximum of the posterior near a start; its covariance is that of the linearised problem.
+
+    Args:
+        evidence: residuals in standard deviations at parameters (COUNT,).
+        parameters: what is unknown of the hand.
+        x: (COUNT,) to start from.
+        typed_length_m: the hand's length as somebody measured it, where known.
+    """
+
+    def residuals(scores: FloatArray) -> FloatArray:
+        trial = scores * PRIOR_SD
+        shape = parameters.shape(trial)
+        believed = [*scores, shape.middle_metacarpal / BONE_SD]
+        if typed_length_m is not None:
+            believed.append((shape.length - typed_length_m) / TYPED_SD_M)
+        return np.concatenate([evidence(trial), believed])
+
+    most_calls = 25
+    found = least_squares(residuals, x / PRIOR_SD, xtol=1e-5, ftol=1e-4, max_nfev=most_calls)
+    J = np.asarray(found.jac, dtype=np.float64)
+    covariance = np.linalg.inv(J.T @ J) * PRIOR_SD * PRIOR_SD[:, None]
+    return HandFit(np.asarray(found.x * PRIOR_SD), np.asarray(covariance))
+
+
+# What straight fingers tell of a hand: residuals of the samples in which it is flat or bent at the knuckles only.
 
 SIGMA_FLAT_RAD: Final = np.radians([[15.0, 15.0], [6.0, 8.0], [6.0, 4.0], [6.0, 8.0], [6.0, 8.0]])
 """Mean flexion and abduction of the flat hand's fingers; the thumb lies where it likes."""

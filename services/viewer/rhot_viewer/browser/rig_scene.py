@@ -20,19 +20,23 @@ from rhot_viewer.browser.camera_layer import CameraLayer, PictureClick
 from rhot_viewer.browser.page import Page
 from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.truth_track import TruthTrack
-from rhot_viewer.scene.hand import HandShape, fingertips, ghost_shape, hand_shape
 from rhot_viewer.scene.instances import Instances, Mesh, Rgb, rotation_of_z, unit_ball, unit_box, unit_rod
-from rhot_viewer.scene.limits import LINES, limit_lines
 from rhot_viewer.scene.things import (
+    LINES,
     OBJECT_COLOR,
     PREDICTED_COLOR,
     UNKNOWN_COLOR,
+    HandShape,
+    Trails,
     body_rods,
+    fingertips,
     foot_boxes,
+    ghost_shape,
+    hand_shape,
+    limit_lines,
     marker_balls,
     object_copies,
 )
-from rhot_viewer.scene.trails import Trails
 from rhot_viewer.scene.viewpoint import (
     Viewpoint,
     close_up,

@@ -5,24 +5,130 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any, Final
 
 import viser
 
-from rhot.calibration_step import CalibrationStep, StepContext, StepView, load_steps
+from rhot.bus import Bus
+from rhot.calibration_step import CalibrationStep, Figures, Remark, StepContext, StepView, load_steps
 from rhot.errors import RhotError
+from rhot.operation.control import broadcast, new_session
 from rhot.rig.config import RigConfig
+from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, HEADSET_FILE, OBJECT_SOURCES, REGISTRATION_FILE, registration_name
+from rhot.rig.kept_file import file_stamp
 from rhot.rig.toml_edit import change_rig_file
 from rhot_viewer.browser.camera_layer import dark_picture, show_jpeg
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
-from rhot_viewer.browser.step_html import about_html, bar_html, path_html, remarks_html, tables_html
+from rhot_viewer.browser.sentence import sentence_html
 from rhot_viewer.rig.picture_feed import PictureFeed
-from rhot_viewer.rig.sessions import Sessions
+
+# Steps of the calibration as text for the page.
+
+_COLORS: Final = {"plain": "inherit", "good": "#69db7c", "warning": "#ffa94d", "wrong": "#ff6b6b"}
+_BLOCK: Final = "<div style='padding:0.15em 0.8em;font-size:0.9em;overflow-wrap:anywhere'>{}</div>"
+
+
+def path_html(views: Mapping[str, StepView], current: str) -> str:
+    """Return the whole path, a line a step: its number, whether it is done, and where it stands."""
+    rows = []
+    for number, (title, view) in enumerate(views.items(), start=1):
+        mark = "<span style='color:#69db7c'>✓</span>" if view.done else str(number)
+        name = escape(title)
+        name = f"<b>{name}</b>" if title == current else name
+        rows.append(
+            f"<tr><td style='padding-right:0.6em'>{mark}</td><td style='padding-right:0.6em;white-space:nowrap'>{name}"
+            f"</td><td style='opacity:0.75'>{sentence_html(view.state)}</td></tr>"
+        )
+    return _BLOCK.format(f"<table>{''.join(rows)}</table>")
+
+
+def about_html(about: str) -> str:
+    """Return what a step asks for."""
+    return _BLOCK.format(f"<span style='opacity:0.75'>{sentence_html(about)}</span>")
+
+
+def bar_html(share: float) -> str:
+    """Return how much of the work under way is done, as a bar."""
+    percent = 100.0 * min(max(share, 0.0), 1.0)
+    return _BLOCK.format(
+        "<div style='background:#343a40;border-radius:3px;height:6px'>"
+        f"<div style='background:#4dabf7;border-radius:3px;height:6px;width:{percent:.0f}%'></div></div>"
+    )
+
+
+def remarks_html(problem: str, remarks: Sequence[Remark]) -> str:
+    """Return what is missing or wrong, a paragraph each; a problem of the last press first."""
+    said = [Remark(problem, "wrong"), *remarks] if problem else remarks
+    return "".join(
+        _BLOCK.format(f"<span style='color:{_COLORS[remark.tone]}'>{sentence_html(remark.text)}</span>")
+        for remark in said
+    )
+
+
+def tables_html(tables: Sequence[Figures]) -> str:
+    """Return figures as tables."""
+    return "".join(_BLOCK.format(_table(table)) for table in tables)
+
+
+def _table(table: Figures) -> str:
+    cell = "<{0} style='text-align:left;overflow-wrap:normal;padding-right:0.7em;font-weight:{1}'>{2}</{0}>"
+    head = "".join(cell.format("th", "normal;opacity:0.6", escape(text)) for text in table.headings)
+    rows = ["".join(cell.format("td", "normal", escape(text)) for text in row) for row in table.rows]
+    body = "".join(f"<tr>{row}</tr>" for row in (head, *rows))
+    return f"<div style='font-weight:bold'>{escape(table.title)}</div><table>{body}</table>"
+
+
+# The tab that leads through the calibration, step by step.
+
+# Restarting the rig from the page, so that its services use the new calibration.
+
+_READ_AT_START: Final = (
+    *(CAMERAS_FILE, HAND_FILE, HEADSET_FILE, REGISTRATION_FILE),
+    *map(registration_name, OBJECT_SOURCES),
+)
+_CONNECT_S: Final = 2.0
+
+
+class Sessions:
+    """Restarts the session, and detects changed files that only a new session reads."""
+
+    def __init__(self, context: StepContext) -> None:
+        self._context = context
+        self._stamps = self._now()
+        self._begun = 0
+        self._one_at_a_time = asyncio.Lock()
+
+    def files_have_changed(self) -> bool:
+        """Return whether a calibration file that is read at the start of a session has changed since the last look."""
+        before, self._stamps = self._stamps, self._now()
+        return self._stamps != before
+
+    async def restart(self) -> str:
+        """Start a new session and return its id.
+
+        Raises:
+            BusError: there is no router, or no service owns the rig clock.
+        """
+        async with self._one_at_a_time, await Bus.open(self._context.bus, timeout_s=_CONNECT_S) as bus:
+            self._begun += 1
+            # Distinguishes two sessions within a second, which would otherwise have the same id.
+            name = f"{new_session()}-{self._begun}"
+            clock_s = 2.0
+            delay_s = 0.5
+            control = await broadcast(bus, "start", name, delay_s, clock_s)
+        return control.session
+
+    def _now(self) -> tuple[tuple[int, int], ...]:
+        return tuple(file_stamp(self._context.rig_path / name) for name in _READ_AT_START)
+
+
+# The tab that leads through the calibration, step by step.
 
 # What stands before the cameras of a simulated rig: the one thing that no hand can do for them.
 

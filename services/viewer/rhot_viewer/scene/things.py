@@ -2,26 +2,251 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rhot.anatomy.skeleton import BODY_PARENTS
+from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import BODY_PARENTS, CHAINS, FINGERS, JOINTS, PARENTS
+from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import (
     BodyPose,
     BoxShape,
     CylinderShape,
+    FingerAngles,
     FootPose,
+    HandPose,
     HeadPose,
     MeshShape,
     ObjectPose,
     PointSet,
+    Side,
     SphereShape,
+    State,
+    TruePose,
 )
 from rhot_viewer.scene.instances import Instances, Rgb, balls, instances, rods
+
+# A hand as balls at its joints and rods for its bones, as thick as its flesh.
+
+BONE_COLOR: Final[dict[str, Rgb]] = {"right": (226, 184, 150), "left": (196, 176, 208)}
+JOINT_COLOR: Final[dict[str, Rgb]] = {"right": (186, 128, 92), "left": (140, 112, 160)}
+PREDICTED_BONE: Final[Rgb] = (150, 190, 235)
+PREDICTED_JOINT: Final[Rgb] = (88, 140, 205)
+GHOST: Final[Rgb] = (120, 205, 140)
+GHOST_SWELL: Final = 1.18
+"""The ghost is this much thicker: around a hand that is tracked well it shows as a rim of even width."""
+
+_BONE_SHARE: Final = 0.86
+"""A bone is a little thinner than its joints, so that these can be seen."""
+_FINGER_OF: Final = {
+    joint: finger for finger, chain in CHAINS.items() for joint in chain if not joint.endswith("_metacarpal")
+}
+"""The joints that move with a finger; all others belong to the palm."""
+_KNUCKLES: Final = tuple(f"{finger}_proximal" for finger in FINGERS[1:])
+_LINKS: Final[tuple[tuple[str, str], ...]] = (
+    *((parent, joint) for joint, parent in PARENTS.items() if parent is not None and joint != "palm"),
+    *pairwise(_KNUCKLES),
+)
+"""Every bone from its nearer to its farther joint; then the flesh between neighbouring knuckles."""
+_ROW: Final = {joint: row for row, joint in enumerate(JOINTS)}
+_BALLS: Final = np.array([_ROW[joint] for joint in JOINTS if joint != "palm"])
+_STARTS: Final = np.array([_ROW[start] for start, _ in _LINKS])
+_ENDS: Final = np.array([_ROW[end] for _, end in _LINKS])
+
+
+@dataclass(frozen=True, slots=True)
+class HandShape:
+    """A hand to be drawn.
+
+    Attributes:
+        joints: balls.
+        bones: rods.
+    """
+
+    joints: Instances
+    bones: Instances
+
+
+def hand_shape(pose: HandPose) -> HandShape | None:
+    """Return a tracked hand, what is only predicted in another colour; None when one of the 26 joints is missing."""
+    if any(name not in pose.joints for name in JOINTS):
+        return None
+    joints = [pose.joints[name] for name in JOINTS]
+    positions = np.array([joint.position for joint in joints])
+    radii = np.array([joint.radius for joint in joints])
+    predicted = _predicted_rows(pose.fingers, pose.state)
+    ball_colors = np.where(predicted[:, None], PREDICTED_JOINT, JOINT_COLOR[pose.side])
+    rod_colors = np.where(predicted[_ENDS][:, None], PREDICTED_BONE, BONE_COLOR[pose.side])
+    return _shape(positions, radii, ball_colors[_BALLS], rod_colors)
+
+
+def ghost_shape(joints: Mapping[str, TruePose], radii: FloatArray) -> HandShape | None:
+    """Return a true hand, swollen a little; None when one of the 26 joints is missing.
+
+    Args:
+        joints: pose by joint name, rig frame.
+        radii: (26,) metres, of the flesh around each joint.
+    """
+    if any(name not in joints for name in JOINTS):
+        return None
+    positions = np.array([joints[name].position for name in JOINTS])
+    return _shape(
+        positions, GHOST_SWELL * radii, np.tile(GHOST, (len(_BALLS), 1)), np.tile(GHOST, (len(_ENDS), 1)), 1.0
+    )
+
+
+def fingertips(side: Side, pose: HandPose) -> dict[str, tuple[float, float, float]]:
+    """Return the positions of a hand's tip joints by `<side> <finger>`, metres, rig frame; a missing one is absent."""
+    return {
+        f"{side} {finger}": pose.joints[f"{finger}_tip"].position
+        for finger in FINGERS
+        if f"{finger}_tip" in pose.joints
+    }
+
+
+def _predicted_rows(fingers: Mapping[str, State], state: State) -> NDArray[np.bool_]:
+    """Tell per joint (26,) whether it is predicted; the palm follows the whole hand."""
+    return np.array([fingers.get(_FINGER_OF.get(joint, ""), state) == "predicted" for joint in JOINTS])
+
+
+def _shape(
+    positions: FloatArray,
+    radii: FloatArray,
+    ball_colors: NDArray[np.int_],
+    rod_colors: NDArray[np.int_],
+    share: float = _BONE_SHARE,
+) -> HandShape:
+    # The wrist's ball alone is thinner than the flesh: as thick, it would hide the hand from whoever sits behind
+    # it.
+    ball_radii = radii[_BALLS] * np.where(_ROW["wrist"] == _BALLS, 0.75, 1.0)
+    rod_radii = share * 0.5 * (radii[_STARTS] + radii[_ENDS])
+    return HandShape(
+        balls(positions[_BALLS], ball_radii, ball_colors),
+        rods(positions[_STARTS], positions[_ENDS], rod_radii, rod_colors),
+    )
+
+
+# Everything beside the hand as balls, rods and boxes: markers, objects, head, feet and legs.
+
+# The paths that fingertips have left in the last moments.
+
+_STEP_NS: Final = 50_000_000
+_BREAK_NS: Final = 400_000_000
+"""After a longer pause the path starts over: a straight line would show a motion nobody saw."""
+
+
+class Trails:
+    """Newest positions of named points, thinned to one in 50 ms."""
+
+    def __init__(self, names: Sequence[str], seconds: float) -> None:
+        """Prepare trails.
+
+        Args:
+            names: of the points; the order of the lines.
+            seconds: how far back the trails reach.
+        """
+        self._steps = max(2, round(seconds * 1e9 / _STEP_NS))
+        self._paths: dict[str, deque[tuple[float, float, float]]] = {n: deque(maxlen=self._steps + 1) for n in names}
+        self._newest_ns: dict[str, int] = {}
+
+    def add(self, t_ns: int, positions: Mapping[str, tuple[float, float, float]]) -> bool:
+        """Add positions, metres, of the moment `t_ns`, but for unknown names; return whether a line has changed."""
+        changed = False
+        for name, position in positions.items():
+            trail = self._paths.get(name)
+            if trail is None:
+                continue
+            pause_ns = t_ns - self._newest_ns.get(name, t_ns - _STEP_NS)
+            if 0 <= pause_ns < _STEP_NS:
+                continue
+            if pause_ns > _BREAK_NS or pause_ns < 0:
+                trail.clear()
+            trail.append(position)
+            self._newest_ns[name] = t_ns
+            changed = True
+        return changed
+
+    def clear(self, prefix: str = "") -> None:
+        """Forget the trails whose names begin with `prefix`."""
+        for name, trail in self._paths.items():
+            if name.startswith(prefix):
+                trail.clear()
+                self._newest_ns.pop(name, None)
+
+    @property
+    def lines(self) -> FloatArray:
+        """(names · steps, 2, 3) pieces of all trails, newest first, metres; those that are not there have no length."""
+        return np.concatenate([self._line(trail) for trail in self._paths.values()])
+
+    def _line(self, trail: deque[tuple[float, float, float]]) -> FloatArray:
+        pieces = np.zeros((self._steps, 2, 3))
+        if trail:
+            path = np.array(trail)[::-1]
+            pieces[:] = path[-1]
+            pieces[: len(path) - 1, 0], pieces[: len(path) - 1, 1] = path[:-1], path[1:]
+        return pieces
+
+    def colors(self, of: Mapping[str, Rgb], background: Rgb) -> NDArray[np.uint8]:
+        """Return colours (names · steps, 2, 3) that fade into the background with age."""
+        age = np.linspace(0.0, 1.0, self._steps + 1)
+        ends = np.stack([age[:-1], age[1:]], axis=1)[..., None]
+        faded = [np.array(of[name]) * (1.0 - ends) + np.array(background) * ends for name in self._paths]
+        return np.concatenate(faded).astype(np.uint8)
+
+
+# Everything beside the hand as balls, rods and boxes: markers, objects, head, feet and legs.
+
+# How far each joint of a hand may bend, as fans of lines: what the filter and the chain solver obey.
+#
+# A knuckle has two fans, one for flexion and one for abduction; each hinge has one. A fan shows where the bone's end
+# goes from one limit to the other while every other angle stays as it is.
+
+STEPS: Final = 12
+"""Lines of which an arc consists."""
+_END_OF_ANGLE: Final = (1, 1, 2, 3)
+"""Which point of a finger's chain each angle moves: flexion and abduction the first bone's end, then the hinges'."""
+FANS: Final = len(FINGERS) * len(_END_OF_ANGLE)
+LINES: Final = FANS * (STEPS + 2)
+
+
+def limit_lines(model: HandModel, pose: HandPose) -> FloatArray | None:
+    """Return the fans of a hand as lines (`LINES`, 2, 3), metres, rig frame; None where the pose tells too little.
+
+    Args:
+        model: of the person, of the pose's side.
+        pose: with its wrist and the angles of all fingers.
+    """
+    wrist = pose.joints.get("wrist")
+    if wrist is None or any(finger not in pose.angles for finger in FINGERS):
+        return None
+    angles = np.array([_row(pose.angles[finger]) for finger in FINGERS])
+    lines = []
+    for column, end in enumerate(_END_OF_ANGLE):
+        sweep = np.tile(angles, (STEPS + 1, 1, 1))
+        sweep[:, :, column] = np.linspace(model.angle_min[:, column], model.angle_max[:, column], STEPS + 1)
+        chain = model.finger_chains(sweep)[0]
+        hub, arc = chain[:, :, end - 1], chain[:, :, end]
+        for finger in range(len(FINGERS)):
+            own = arc[:, finger]
+            lines += [(own[k], own[k + 1]) for k in range(STEPS)]
+            lines += [(hub[0, finger], own[0]), (hub[-1, finger], own[-1])]
+    R = rotation_from_quaternion(np.array(wrist.orientation))
+    drawn: FloatArray = np.array(lines) @ R.T + np.array(wrist.position)
+    return drawn
+
+
+def _row(angles: FingerAngles) -> tuple[float, float, float, float]:
+    return angles.mcp_flexion, angles.mcp_abduction, angles.pip_flexion, angles.dip_flexion
+
+
+# Everything beside the hand as balls, rods and boxes: markers, objects, head, feet and legs.
 
 MARKER_RADIUS_M: Final = 0.0095
 PREDICTED_SHARE: Final = 0.6

@@ -12,8 +12,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.rig import HandFile
 from rhot_bench.thesis.fabrik.chains import FLEXION, Chains
-from rhot_bench.thesis.fabrik.fabrik import solve
-from rhot_bench.thesis.fabrik.finger_chains import FabrikFingers, finger_chains
+from rhot_bench.thesis.fabrik.finger_chains import FabrikFingers, finger_chains, solve
 from rhot_ik.hand.fingers.geometry import FingerGeometry
 
 

@@ -7,8 +7,7 @@ import itertools
 import pytest
 from click.testing import CliRunner
 
-from rhot_calibration.colors.model.paint_sets import as_seen, best_set, described
-from rhot_tools.paints import paints
+from rhot_tools.paints import as_seen, best_set, described, paints
 
 SOME = ("cadmium yellow", "cadmium red", "magenta", "cobalt blue", "turquoise", "violet", "phthalo green")
 
