@@ -24,7 +24,7 @@ from page.viewer_process import ViewerProcess  # noqa: E402
 from stub_rig import StubThread  # noqa: E402
 
 from rhot_sim.rig.folder import write_simulated_rig  # noqa: E402
-from rhot_sim.running.run import free_endpoint  # noqa: E402
+from rhot_sim.running.processes import free_endpoint  # noqa: E402
 
 EMULATOR: Final = DOCS.parent / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
 DESKTOP: Final = (1280, 800)

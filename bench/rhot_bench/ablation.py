@@ -70,7 +70,7 @@ TERMS: Final[Mapping[str, Change]] = {
         ("rhot_fusion.filter.joint", "SCALES", (1.6,)),
         ("rhot_fusion.filter.joint", "SHARES", (1.0,)),
     ),
-    "pixel noise is learnt": (("rhot_fusion.filter.tracker", "_FIRST_WEIGHT", 1e12),),
+    "pixel noise is learnt": (("rhot_fusion.filter.systematic", "_FIRST_WEIGHT", 1e12),),
     "inflation gate": ((_TRACKS, "CALIBRATED.inflation_gate", 1e12),),
     "reacquisition gate": ((_TRACKS, "CALIBRATED.reacquisition_gate", 25.0),),
     "relocation": ((_TRACKS, "_RELOCATIONS", 10**9),),

@@ -18,11 +18,10 @@ from rhot_bench.speed.interleaved import Spread
 from rhot_bench.speed.live import live_section
 from rhot_bench.speed.pages import pages_section
 from rhot_bench.speed.pi_budget import budget_section
-from rhot_bench.speed.scaling import scaling_section, scaling_steps
-from rhot_bench.speed.secured import secured_section
-from rhot_bench.speed.services import processes_section
+from rhot_bench.speed.process_costs import processes_section
+from rhot_bench.speed.scaling import scaling_section, scaling_steps, secured_section
 from rhot_bench.speed.soak import soak_section
-from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
+from rhot_bench.tracking.tracking import RATE_HZ, simulated_rig
 from rhot_tools.measures.output import json_option, show
 from rhot_tools.measures.rows import Section, check_output
 

@@ -16,9 +16,8 @@ from rich.console import Console
 from rhot.cli.options import FiniteRange
 from rhot.recording.camera_picture import jpeg_of
 from rhot_bench.feet.heads import START_NS, Heads
-from rhot_calibration.headset.checks import FOOT_M, judged
-from rhot_calibration.headset.collector import ViewCollector
-from rhot_calibration.headset.fit import HeadsetFit, mounting_error
+from rhot_calibration.headset.fit import FOOT_M, HeadsetFit, judged, mounting_error
+from rhot_calibration.headset.streams import ViewCollector
 from rhot_feet.frames import pinhole
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.world import WalkerWorld

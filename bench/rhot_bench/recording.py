@@ -28,10 +28,10 @@ from rhot.offline import track
 from rhot.recording.mcap.reader import open_mcap
 from rhot.rig import BusConfig, Rig, load_rig, write_json_model
 from rhot.rig.template import rig_template
-from rhot.service.control_link import CONTROL_KEY
+from rhot.service.control import CONTROL_KEY
 from rhot_bench.speed.simulated import projected_frames, world_of
 from rhot_sim.rig.calibration import simulated_rig_calibration
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 from rhot_tools.measures.output import json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 

@@ -18,7 +18,7 @@ from rhot.recording import MarkerTrack, Recording, load_recording, marker_track_
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
-from rhot_bench.number_table import read_table
+from rhot_bench.processes import read_table
 from rhot_fusion.core import FusionCore
 from rhot_tools.measures.output import counted, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output

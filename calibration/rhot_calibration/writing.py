@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -9,6 +14,31 @@ from rich.console import Console
 
 from rhot.atomic_file import write_atomic
 from rhot.rig import write_json_model
+
+# Keys that a person presses while a command follows a running rig.
+
+
+@contextlib.contextmanager
+def keyboard(pressed: Callable[[str], None]) -> Iterator[bool]:
+    """Call back with each key while a terminal is there; yields whether it is."""
+    if not sys.stdin.isatty() or not sys.stdout.isatty():
+        yield False
+        return
+    import termios  # noqa: PLC0415  # not on every system
+    import tty  # noqa: PLC0415
+
+    loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
+    before = termios.tcgetattr(descriptor)
+    tty.setcbreak(descriptor)
+    loop.add_reader(descriptor, lambda: pressed(os.read(descriptor, 1).decode(errors="replace")))
+    try:
+        yield True
+    finally:
+        loop.remove_reader(descriptor)
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+# Writing what a calibration command found into the rig folder.
 
 
 def write_found(

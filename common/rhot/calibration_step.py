@@ -15,8 +15,8 @@ from typing import Final, Literal, Protocol
 
 from rhot.errors import ConfigError
 from rhot.plugins import install_hint
-from rhot.rig.bus_config import BusConfig
 from rhot.rig.folder import load_config
+from rhot.rig.marker_config import BusConfig
 
 GROUP: Final = "rhot.page_steps"
 ORDER: Final = {

@@ -20,9 +20,8 @@ from rhot.messages import MeshShape, ObjectShape
 from rhot.messages.objects import MOST_PLANES
 from rhot.rig import Rig
 from rhot.rig.kept_file import file_stamp
-from rhot.rig.shape_config import MeshConfig
-from rhot.sparing_log import SparingLog
-from rhot.text_files import parse_json
+from rhot.rig.marker_config import MeshConfig
+from rhot.text import SparingLog, parse_json
 
 logger = logging.getLogger(__name__)
 

@@ -7,11 +7,105 @@ says. `printable` writes all of these as the escapes that JSON uses, so that it 
 
 from __future__ import annotations
 
+import codecs
+import json
 import logging
 import os
 import shlex
+import threading
+import time
+import tomllib
 import unicodedata
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
+
+# Text files that people and other programs write: TOML, JSON and tables, whatever editor saved them.
+#
+# Editors of Windows put a byte order mark in front of a text, or save it as UTF-16. Neither is an error here. What a
+# parser would accept in silence or end on in a traceback is one: a key that is there twice, of which the first is lost,
+# and nesting that is deeper than the interpreter's stack.
+
+_UTF16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_TOO_DEEP: Final = "nested too deeply"
+
+
+def read_text(file: Path) -> str:
+    """Return the text of a file: UTF-8, or UTF-16 with its byte order mark; the mark itself is left out.
+
+    Raises:
+        OSError: it cannot be read.
+        UnicodeDecodeError: it is no such text.
+    """
+    data = file.read_bytes()
+    return data.decode("utf-16" if data.startswith(_UTF16) else "utf-8-sig")
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the content of a TOML text.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ValueError(_TOO_DEEP) from error
+
+
+def parse_json(text: str) -> Any:
+    """Return the content of a JSON text.
+
+    Raises:
+        ValueError: it is none, or a key of an object is there twice.
+    """
+    try:
+        return json.loads(text, object_pairs_hook=_without_repeats)
+    except RecursionError as error:
+        raise ValueError(_TOO_DEEP) from error
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"the key {key[:60]!r} is there twice; remove one")
+        found[key] = value
+    return found
+
+
+# Text from outside, made harmless: the one function that stands between the network and terminals, logs and markup.
+
+# Saying the same thing at most once in a while: what others send must not fill a disk with our logs.
+
+INTERVAL_S: Final = 5.0
+
+
+class SparingLog:
+    """Tells whether a topic's turn to be logged has come; may be asked from any thread."""
+
+    def __init__(self, interval_s: float = INTERVAL_S) -> None:
+        self._interval_s = interval_s
+        self._lock = threading.Lock()
+        self._logged_at: dict[str, float] = {}
+        self._kept_quiet: dict[str, int] = {}
+
+    def due(self, topic: str) -> int | None:
+        """Return how often the topic was kept quiet since it was last due; None when it is not due yet."""
+        now = time.monotonic()
+        with self._lock:
+            # Topics are keys, which an outsider may choose: the table must not grow with them.
+            most_topics = 64
+            if topic not in self._logged_at and len(self._logged_at) >= most_topics:
+                topic = "…"
+            last = self._logged_at.get(topic)
+            if last is not None and now - last < self._interval_s:
+                self._kept_quiet[topic] = self._kept_quiet.get(topic, 0) + 1
+                return None
+            self._logged_at[topic] = now
+            return self._kept_quiet.pop(topic, 0)
+
+
+# Text from outside, made harmless: the one function that stands between the network and terminals, logs and markup.
 
 MOST_CHARACTERS: Final = 2000
 """Longest text from outside that is shown or logged; chosen: about a screen."""

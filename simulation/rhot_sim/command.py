@@ -33,12 +33,10 @@ from rhot_sim.comparison.feet import (
     live_feet_table,
     stages_text,
 )
-from rhot_sim.comparison.figures import service_figures
-from rhot_sim.comparison.table import machine_verdict, summary
+from rhot_sim.comparison.figures import machine_verdict, service_figures, summary
 from rhot_sim.rig.folder import DEFAULT_ENDPOINT, with_motion, write_simulated_rig
 from rhot_sim.running.calibration_run import missing_calibration, run_for_calibration
-from rhot_sim.running.run import SimRun, free_endpoint
-from rhot_sim.running.watched_run import WatchedRun
+from rhot_sim.running.processes import SimRun, WatchedRun, free_endpoint
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.world import WalkerWorld
 

@@ -17,8 +17,7 @@ from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import Side
 from rhot_bridge.axes import Converter
 from rhot_bridge.retarget.arms import two_bones
-from rhot_bridge.retarget.quaternions import conjugate, relative, right_product
-from rhot_bridge.retarget.vrm import finger_bones
+from rhot_bridge.retarget.vrm import conjugate, finger_bones, relative, right_product
 from rhot_bridge.scene import Body, Scene
 from rhot_bridge.targets.osc import MOST_BYTES, Template, bundles
 from rhot_bridge.targets.vmc import VmcTarget

@@ -8,8 +8,7 @@ from bridged import poses as bridge_poses
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse, quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.messages import Side
 from rhot_bridge.axes import Converter, unity_euler_deg
 from rhot_bridge.scene import Hand, Scene, Thing, tracked

@@ -16,7 +16,7 @@ from bridged.readers import READERS, Seen
 from bridged.samples import LslPackets, Ros2Packets
 
 from rhot.anatomy.skeleton import JOINTS
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse
 from rhot.messages import Side
 from rhot_bridge.axes import Converter
 from rhot_bridge.scene import Scene, tracked

@@ -111,7 +111,7 @@ def test_a_bodys_stream_keeps_its_channels_when_an_arm_is_lost() -> None:
 async def test_streams_that_are_silent_make_room_for_others(monkeypatch: pytest.MonkeyPatch) -> None:
     lsl = pytest.importorskip("rhot_bridge.targets.lsl", reason="pip install 'rhot[lsl]'")
     monkeypatch.setattr(lsl, "MOST_STREAMS", 2)
-    monkeypatch.setattr("rhot_bridge.opened.SILENT_NS", 200_000_000)
+    monkeypatch.setattr("rhot_bridge.output.SILENT_NS", 200_000_000)
     monkeypatch.setattr(lsl, "_outlet", lambda *_: SimpleNamespace(push_sample=lambda *_: None))
     output = lsl.make_output(BridgeConfig(target="lsl"))
     output.use_clock(LocalRigClock(SystemClock()))

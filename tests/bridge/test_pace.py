@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rhot_bridge.feed import HandPairing
-from rhot_bridge.pace import Pace
+from rhot_bridge.newest import Pace
 
 
 def went(pace: Pace, now_ns: int, kind: str | None = None) -> bool:

@@ -154,7 +154,7 @@ async def test_a_router_carries_messages_tokens_and_attachments(
 
 async def test_topics_that_are_silent_make_room_for_others(free_port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rmw_zenoh, "MOST_TOPICS", 2)
-    monkeypatch.setattr("rhot_bridge.opened.SILENT_NS", 200_000_000)
+    monkeypatch.setattr("rhot_bridge.output.SILENT_NS", 200_000_000)
     link = rmw_zenoh.RmwZenohLink("127.0.0.1", free_port, 0, ros2.type_hash)
 
     async def goes_out(topic: str) -> None:

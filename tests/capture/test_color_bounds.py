@@ -12,10 +12,8 @@ from rhot.rig import load_rig, write_json_model
 from rhot.rig.colors import HsvRangeColor, load_colors, nominal_colors
 from rhot.rig.kept_file import KeptFile
 from rhot.service.configuration import changed
-from rhot_capture.color_bounds import bounds_of, with_bounds
 from rhot_capture.detection.color_table import build_color_table
-from rhot_capture.live_colors import LiveColors
-from rhot_capture.settings import CameraSettings
+from rhot_capture.settings import CameraSettings, LiveColors, bounds_of, with_bounds
 
 PAINTS = {"thumb": (220.0, 30.0, 40.0), "index": (40.0, 180.0, 60.0)}
 COLORS = nominal_colors(PAINTS)

@@ -16,7 +16,7 @@ from rhot.rig import load_rig
 from rhot.rig.colors import nominal_colors
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources import Frame, Source, open_source
-from rhot_capture.sources.pictures import read_pictures
+from rhot_capture.sources.recorded import read_pictures
 
 SIZE = "width = 32\nheight = 24\n"
 

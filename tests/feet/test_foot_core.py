@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from still_feet import FEET, head, picture, positions, standing_samples
 
 from rhot.messages import FootPose, Side
-from rhot_feet.depth.floor import FloorPlane
+from rhot_feet.depth.plane import FloorPlane
 from rhot_feet.depth.tracker import DepthObservations, FootDepth
 from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker.tracker import MarkerObservations, MarkerTracker
 from rhot_feet.prediction import FootPrediction
-from rhot_feet.view import FootDetections
+from rhot_feet.preview import FootDetections
 
 START_NS = 1_700_000_000_000_000_000
 FRAME_NS = 33_000_000

@@ -16,8 +16,7 @@ from rhot_feet import preview
 from rhot_feet.depth.tracker import DepthObservations
 from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import ColorImage, DepthFrame
-from rhot_feet.preview import COLORS, REFUSED, FeetPreview, draw
-from rhot_feet.view import FootDetections
+from rhot_feet.preview import COLORS, REFUSED, FeetPreview, FootDetections, draw
 
 START_NS = 1_700_000_000_000_000_000
 

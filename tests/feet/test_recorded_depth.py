@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from rhot.errors import ConfigError
-from rhot_feet.sources.depth_camera.recorded import RecordedDepthSource
-from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording
+from rhot_feet.sources.depth_camera.recorded_frames import RecordedDepthSource, load_depth_recording
 
 LENS = {"width": 64, "height": 48, "K": [[60.0, 0.0, 32.0], [0.0, 60.0, 24.0], [0.0, 0.0, 1.0]], "distortion": []}
 

@@ -24,8 +24,7 @@ from rhot_bench.hands.recorded_hands import (
 )
 from rhot_bench.thesis.fabrik.finger_chains import FabrikFingers
 from rhot_ik.hand.filter.evidence import HandObservation
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
 from rhot_ik.hand.solver import HandSolver
 
 RATE_HZ = 30.0

@@ -12,7 +12,7 @@ from rhot.bus import Bus
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE
 from rhot_sim.rig.folder import write_simulated_rig
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 
 
 @pytest.fixture(scope="session")

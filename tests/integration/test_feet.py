@@ -14,7 +14,7 @@ import pytest
 from running.rig_processes import processes_that_name
 from wall_clock import figures_in_time, in_time
 
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 
 pytestmark = pytest.mark.integration
 

@@ -20,8 +20,13 @@ from wall_clock import figures_in_time
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
 from rhot.bus import Bus
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
-from rhot.geometry.transforms import inverse, rigid
+from rhot.geometry.rotations import (
+    inverse,
+    quaternion_from_rotation,
+    rigid,
+    rotation_from_quaternion,
+    rotation_from_vector,
+)
 from rhot.messages import HandPose, HeadPose, ObjectPose, decode
 from rhot.object_mesh import mesh_file
 from rhot.rig import BusConfig, RegistrationFile, load_rig, write_json_model
@@ -30,7 +35,7 @@ from rhot.rig.folder import REGISTRATION_FILE, RIG_FILE, registration_name
 from rhot.service.clock_sync import serve_clock
 from rhot_calibration.objects.fit import Places, first_prior, fit_registration
 from rhot_sim.rig.folder import write_simulated_rig
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 from rhot_viewer.grasp.files import is_built
 from rhot_viewer.grasp.hello import stage_of
 

@@ -21,7 +21,7 @@ from rhot.rig.folder import RIG_FILE
 from rhot_calibration.cameras.live.coverage import links
 from rhot_calibration.cameras.live.live import collect
 from rhot_calibration.cameras.solve.views import Board
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 
 pytestmark = pytest.mark.integration
 

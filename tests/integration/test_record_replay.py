@@ -62,7 +62,7 @@ async def start(command: str, *arguments: str, file_limit: int | None = None) ->
         if file_limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (file_limit, file_limit))
 
-    entry = f"LazyCommand('', 'rhot.cli.recordings.{command}:{command}')"
+    entry = f"LazyCommand('', 'rhot_tools.recordings.{command}:{command}')"
     code = (
         "import sys; from rhot.cli.group import LazyCommand, MainGroup; "
         f"MainGroup(name='rhot', lazy={{'': {{'{command}': {entry}}}}}).main(sys.argv[1:])"

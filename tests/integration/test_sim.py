@@ -29,7 +29,7 @@ from rhot.cli import main
 from rhot.rig import BusConfig, load_rig
 from rhot.rig.toml_edit import change_rig_file
 from rhot_sim.running import processes
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 
 pytestmark = pytest.mark.integration
 

@@ -17,7 +17,7 @@ from wall_clock import in_time
 from rhot.bus import Bus
 from rhot.rig import BusConfig
 from rhot.rig.template import rig_template
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 
 pytestmark = pytest.mark.integration
 

@@ -20,9 +20,8 @@ from stub_rig import StubRig, StubThread
 from rhot.arrays import FloatArray
 from rhot.rig import load_rig
 from rhot.rig.colors import load_colors
-from rhot_sim.running.run import free_endpoint
-from rhot_viewer.scene.cameras import PicturePlane
-from rhot_viewer.scene.viewpoint import overview
+from rhot_sim.running.processes import free_endpoint
+from rhot_viewer.scene.viewpoint import PicturePlane, overview
 
 pytestmark = [
     pytest.mark.integration,

@@ -7,8 +7,7 @@ from rhot.core import Output
 from rhot.messages import CylinderShape, HeadPose, ObjectPose
 from rhot.rig import RegistrationFile, RigidTransform
 from rhot_objects.core import HOLD_S, ObjectCore
-from rhot_objects.pose import Pose
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Pose, Registration
 from rhot_objects.sources import PoseSample
 
 MS = 1_000_000

@@ -7,8 +7,7 @@ from hypothesis.extra import numpy as hnp
 
 from rhot.rig import RegistrationFile, RigidTransform
 from rhot.rig.folder import NO_REGISTRATION
-from rhot_objects.pose import Pose, angle_between
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Pose, Registration, angle_between
 
 POSES = st.builds(
     Pose.from_arrays,

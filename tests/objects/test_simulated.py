@@ -8,8 +8,7 @@ import pytest
 from rhot.messages import ObjectPose
 from rhot.rig import RegistrationFile, RigidTransform
 from rhot_objects.core import ObjectCore
-from rhot_objects.pose import Pose, angle_between
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Pose, Registration, angle_between
 from rhot_sim.sources.objects import ORIENTATION_NOISE_RAD, POSITION_NOISE_M, SimulatedSource
 
 START = 1_700_000_000_000_000_000

@@ -12,16 +12,16 @@ import zenoh
 from bus_watch import PATIENCE_S, answers, settled, until
 
 from rhot.bus import Answer, Bus, EventSubscriber, LatestSubscriber, Request
-from rhot.bus.limits import (
+from rhot.bus.query import received
+from rhot.bus.zenoh_config import (
     MAX_FOREIGN_KEYS,
     MAX_MESSAGE_BYTES,
     MAX_SAMPLE_BYTES,
     MAX_UNREAD_BYTES,
     MAX_WAITING_ANSWERS,
     LimitCounts,
+    session_config,
 )
-from rhot.bus.query import received
-from rhot.bus.zenoh_config import session_config
 from rhot.clock import SystemClock
 from rhot.rig import BusConfig
 

@@ -12,9 +12,8 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_z
 from rhot.messages import ServiceStatus
 from rhot.rig import HandFile, MarkerConfig
-from rhot_sim.comparison.accuracy import object_errors, point_errors
+from rhot_sim.comparison.accuracy import coverage, object_errors, point_errors
 from rhot_sim.comparison.collect import Collected, HandSample, ObjectSample, PointsSample
-from rhot_sim.comparison.coverage import coverage
 from rhot_sim.comparison.figures import service_figures, spread, tracking_figures, window
 from rhot_sim.rendering.coverage import MarkerView
 from rhot_sim.world.world import World

@@ -9,7 +9,7 @@ import pytest
 from rhot.errors import CalibrationError, ConfigError
 from rhot.recording import load_recording
 from rhot.rig import CamerasFile, load_rig, read_json_model
-from rhot.text_files import parse_json, parse_toml, read_text
+from rhot.text import parse_json, parse_toml, read_text
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])

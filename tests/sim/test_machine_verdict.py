@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rhot_sim.comparison.table import machine_verdict
+from rhot_sim.comparison.figures import machine_verdict
 
 REPORT = {"cameras": {"left": {}, "right": {}}, "camera_rate_hz": 60.0, "rate_hz": 118.0}
 

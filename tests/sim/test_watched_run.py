@@ -16,7 +16,7 @@ from rhot.messages import Control
 from rhot.operation.control import broadcast
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.service.clock_sync import serve_clock
-from rhot_sim.running.watched_run import WatchedRun
+from rhot_sim.running.processes import WatchedRun
 
 DURATION_S = 1.0
 

@@ -19,10 +19,10 @@ from rhot.geometry.rotations import (
     rotation_y,
     rotation_z,
 )
-from rhot_bench.thesis.foot_filter import ThesisFilter
+from rhot_bench.thesis.feet import ThesisFilter
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.model import FootState
-from rhot_feet.imu.conversion import FusedImuConverter
+from rhot_feet.imu.samples import FusedImuConverter
 
 START_NS = 1_700_000_000_000_000_000
 UP = np.array([0.0, 1.0, 0.0])

@@ -25,7 +25,7 @@ from rhot.operation.status import fetch_status
 from rhot.operation.supervisor import Child, Supervisor
 from rhot.rig import BusConfig
 from rhot_bench.speed.played_camera import write_played_rig
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 
 PLAYER = "rhot_bench.speed.played_camera"
 CAMERAS = ("left", "right")

@@ -16,7 +16,7 @@ from simulated_take import simulated_rig, write_take
 from rhot.errors import ConfigError
 from rhot.recording import PictureTrack, load_recording
 from rhot_tools.explain.command import explain
-from rhot_tools.recordings.span import between, newest, time_span
+from rhot_tools.recordings.beside import between, newest, time_span
 
 LENGTH_S = 1.2
 

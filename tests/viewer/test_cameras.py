@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import rotation_from_vector
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_from_vector
 from rhot.rig.calibration import CameraCalibration, matrix4
-from rhot_viewer.scene.cameras import PICTURE_DISTANCE_M, PicturePlane
+from rhot_viewer.scene.viewpoint import PICTURE_DISTANCE_M, PicturePlane
 
 T = rigid(rotation_from_vector(np.array([0.2, -0.3, 0.5])), np.array([0.3, -0.1, 0.2]))
 CAMERA = CameraCalibration(

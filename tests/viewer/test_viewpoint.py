@@ -12,8 +12,8 @@ from rhot.arrays import FloatArray
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig, FootConfig
 from rhot_viewer.grasp.hello import hello_text
-from rhot_viewer.scene.cameras import PicturePlane
 from rhot_viewer.scene.viewpoint import (
+    PicturePlane,
     Viewpoint,
     close_up,
     desk_middle,

@@ -28,8 +28,7 @@ from rhot_bench import processes
 from rhot_bench.feet.runs import COMPUTE_S, LEARN_S, SIDES, STAGES, Played, Run, Track, play
 from rhot_bench.feet.stages import CELLS, TASKS, cell_plots, cell_rows, printed_m, table_5_1, table_5_1_rows
 from rhot_sim.walker.folder import write_walker_rig
-from rhot_tools.measures.html import html_report
-from rhot_tools.measures.output import counted, json_option, page_option, show
+from rhot_tools.measures.output import counted, html_report, json_option, page_option, show
 from rhot_tools.measures.provenance import provenance
 from rhot_tools.measures.rows import Row, Section, check_output
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from rhot.messages import HeadPose
 from rhot_objects.core import ObjectCore
-from rhot_objects.pose import Pose
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Pose, Registration
 from rhot_objects.sources import HEAD
 from rhot_sim.sources.objects import SimulatedSource
 from rhot_sim.walker.world import WalkerWorld

@@ -24,12 +24,10 @@ from rhot.messages import BodyPose, FootPose, HeadPose, Side
 from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig, FootConfig, WalkProgram
 from rhot_bench.feet.heads import START_NS, Heads
-from rhot_bench.thesis.feet import ThesisFeet
-from rhot_bench.thesis.foot_filter import ThesisFilter
+from rhot_bench.thesis.feet import ThesisFeet, ThesisFilter
 from rhot_feet.filter.model import FootFilterSettings, FootState
 from rhot_feet.foot_core import FootCore
-from rhot_feet.frames import DepthFrame, pinhole
-from rhot_feet.head_track import HeadTrack
+from rhot_feet.frames import DepthFrame, HeadTrack, pinhole
 from rhot_feet.imu.samples import ImuSamples
 from rhot_ik.legs.body_core import BodyCore
 from rhot_sim.sources.imu import SimulatedSource

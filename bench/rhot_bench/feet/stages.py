@@ -16,8 +16,8 @@ import numpy as np
 from rich.table import Table
 
 from rhot.arrays import BoolArray, FloatArray
+from rhot.report.html import figures_table
 from rhot.report.svg import line_plot
-from rhot.report.tables import figures_table
 from rhot.rig.feet_config import WalkProgram
 from rhot_bench.feet.runs import LEARN_S, SIDES, Played, Run, Track
 from rhot_tools.measures.rows import Row

@@ -34,8 +34,7 @@ from rhot.rig.folder import write_text_atomic
 from rhot_bench.measures.hands import START_NS
 from rhot_bench.pictures.rendered import at_rate_of, found_markers, prepare_rig, require_pictures
 from rhot_bench.speed.simulated import world_of
-from rhot_bench.tracking.simulated_rig import simulated_rig
-from rhot_bench.tracking.tracking import scene_frames
+from rhot_bench.tracking.tracking import scene_frames, simulated_rig
 from rhot_objects.assemble import plan_sources
 from rhot_objects.offline import PlayedObjects
 from rhot_sim.world.world import World
@@ -43,8 +42,7 @@ from rhot_tools.export.source import RecordedMessages
 from rhot_tools.grasp.figures import GraspFigures, grasp_figures, grasp_sections
 from rhot_tools.grasp.pickups import as_true
 from rhot_tools.grasp.session import PALM, TIPS, GraspSession, grasp_session
-from rhot_tools.measures.html import html_report
-from rhot_tools.measures.output import counted, json_option, page_option, show
+from rhot_tools.measures.output import counted, html_report, json_option, page_option, show
 from rhot_tools.measures.rows import check_output
 
 # Where a grasping session comes from: the simulated rig, rendered pictures, a recording, the running rig.

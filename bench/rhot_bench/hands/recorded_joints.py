@@ -17,7 +17,7 @@ from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.rig import HandFile, IkConfig, MarkerConfig
 from rhot_bench.hands.recorded_hands import palm_rotations, plain_hand
-from rhot_bench.number_table import read_table
+from rhot_bench.processes import read_table
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.solver import HandSolver
 

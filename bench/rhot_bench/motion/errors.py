@@ -13,7 +13,7 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import FloatArray, IntArray
 from rhot.messages import HandPose
 from rhot_bench.motion.tracks import Tracks
-from rhot_tools.measures.estimates import MEASURED, Estimates
+from rhot_tools.measures.points import MEASURED, Estimates
 
 SWAP_M: Final = 0.010
 """A point counts as swapped when it is nearer to another marker and at least this far from its own (as in score.py)."""

@@ -18,8 +18,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import rotation_from_vector, rotation_z
-from rhot.geometry.transforms import inverse, rigid
+from rhot.geometry.rotations import inverse, rigid, rotation_from_vector, rotation_z
 from rhot.rig import CamerasFile, HandFile, Rig, load_rig, write_json_model
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template

@@ -11,10 +11,9 @@ from rhot.messages import HandPose, Message, PointSet
 from rhot.offline import track, track_smoothly
 from rhot_bench.motion.errors import HandErrors, PointErrors, coverage, hand_errors, point_errors
 from rhot_bench.motion.references.plain_ekf import plain_ekf
-from rhot_bench.motion.references.spline_reference import spline_reference
-from rhot_bench.motion.references.views import views_of
+from rhot_bench.motion.references.spline_reference import spline_reference, views_of
 from rhot_bench.motion.tracks import MARKERS, MarkerKind, Tracks, make_tracks
-from rhot_tools.measures.estimates import Estimates, estimates_of
+from rhot_tools.measures.points import Estimates, estimates_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,11 +17,21 @@ from rhot.geometry.rotations import nearest_rotation, rotation_from_vector, rota
 from rhot.messages import MarkerFrame
 from rhot.rig import HandFile, Rig
 from rhot.rig.calibration import WIDTH_OVER_LENGTH, today
-from rhot_bench.motion.hand_motion import HandMotion
-from rhot_bench.motion.painted import Capsules, Flesh, Surface, cap_surface, nearest, patch_surface, seen_samples
-from rhot_bench.motion.recordings import RecordedHand, list_recordings, read_recording
+from rhot_bench.motion.painted import (
+    MARKERS,
+    START_NS,
+    Capsules,
+    Flesh,
+    Surface,
+    Truth,
+    cap_surface,
+    marker_frames_of,
+    nearest,
+    patch_surface,
+    seen_samples,
+)
+from rhot_bench.motion.recordings import HandMotion, RecordedHand, list_recordings, read_recording
 from rhot_bench.motion.rigs import Family, RigDraw, draw_rig, write_rig
-from rhot_bench.motion.truth import MARKERS, START_NS, Truth, marker_frames_of
 
 # What one camera publishes of a painted hand in motion: marker frames as capture makes them.
 

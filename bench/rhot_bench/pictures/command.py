@@ -28,8 +28,7 @@ from rhot.recording import load_recording
 from rhot.recording.picture_file import read_picture
 from rhot.rig import Rig
 from rhot_bench.motion.references.plain_ekf import plain_ekf
-from rhot_bench.motion.references.spline_reference import spline_reference
-from rhot_bench.motion.references.views import views_of
+from rhot_bench.motion.references.spline_reference import spline_reference, views_of
 from rhot_bench.pictures.rendered import (
     BOARDS,
     CAMERAS,

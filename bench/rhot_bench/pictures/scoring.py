@@ -14,7 +14,7 @@ import numpy as np
 
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, Message, PointSet
-from rhot_tools.measures.estimates import MEASURED, Estimates
+from rhot_tools.measures.points import MEASURED, Estimates
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,7 @@ from rhot.rig.folder import RIG_FILE
 from rhot.rig.template import rig_template
 from rhot.service.clock_sync import serve_clock
 from rhot_bench.speed.process_costs import process_cost
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 from rhot_sim.world.world import World
 from rhot_tools.measures.rows import Row, Section
 

@@ -17,20 +17,18 @@ from rhot.rig import Rig
 from rhot_bench.speed.interleaved import Spread, interleaved, lockstep, no_collection, ratio_rows, time_rows, timed
 from rhot_bench.speed.simulated import Cameras, Capture, Moment, moments
 from rhot_bench.thesis.capture import ThesisDetector
-from rhot_bench.thesis.fusion import Arrival, ThesisFusion
-from rhot_bench.thesis.ik import HINGES_DEG, ROTOR_DEG, ThesisFinger, ThesisHand, Vector
+from rhot_bench.thesis.ik import HINGES_DEG, ROTOR_DEG, Arrival, ThesisFinger, ThesisFusion, ThesisHand, Vector
 from rhot_bench.thesis.paint_samples import thesis_boxes
-from rhot_capture.detection.subpixel import unmixing
-from rhot_capture.detection.subpixel.unmixing import MIN_CONTRAST, MIN_SURROUNDINGS, MISFIT, NOISE, RIDGE, TINY
+from rhot_capture.detection.subpixel import windows
+from rhot_capture.detection.subpixel.windows import MIN_CONTRAST, MIN_SURROUNDINGS, MISFIT, NOISE, RIDGE, TINY
 from rhot_fusion.core import FusionCore
 from rhot_ik.hand.core import HandCore
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.world import World
 from rhot_tools.measures.rows import Row, Section
 
-# The algebra of `rhot_capture.detection.subpixel.unmixing` in numpy: what the plain numbers there must be faster than.
+# The algebra of `rhot_capture.detection.subpixel.windows` in numpy: what the plain numbers there must be faster than.
 #
 # The functions have the names, arguments and results of those that they stand in for.
 
@@ -40,7 +38,7 @@ _SYMMETRIC: Final = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 def plain_projections(sums: ArrayLike) -> tuple[FloatArray, list[bool]]:
-    """Do what `unmixing.projections` does."""
+    """Do what `windows.projections` does."""
     sums = np.asarray(sums, dtype=np.float64)
     total = sums[:, 0, 3]
     share = 1.0 / np.maximum(total, 1.0)
@@ -56,7 +54,7 @@ def plain_projections(sums: ArrayLike) -> tuple[FloatArray, list[bool]]:
 def plain_levels(
     lines: FloatArray, moments: ArrayLike, products: ArrayLike, squares: ArrayLike
 ) -> tuple[FloatArray, list[bool]]:
-    """Do what `unmixing.fitted_levels` does."""
+    """Do what `windows.fitted_levels` does."""
     moments, products = np.asarray(moments, dtype=np.float64), np.asarray(products, dtype=np.float64)
     matrices = moments[..., _SYMMETRIC] + np.diag([TINY, RIDGE, RIDGE])
     planes = np.linalg.solve(matrices, products[..., None])[..., 0].swapaxes(0, 1)
@@ -67,14 +65,14 @@ def plain_levels(
 
 def with_plain_algebra(work: Callable[[ImageArray], object]) -> Callable[[ImageArray], None]:
     """Return some work with the detector, done with the numpy form."""
-    unrolled = unmixing.projections, unmixing.fitted_levels
+    unrolled = windows.projections, windows.fitted_levels
 
     def run(image: ImageArray) -> None:
-        unmixing.projections, unmixing.fitted_levels = plain_projections, plain_levels  # type: ignore[assignment]
+        windows.projections, windows.fitted_levels = plain_projections, plain_levels  # type: ignore[assignment]
         try:
             work(image)
         finally:
-            unmixing.projections, unmixing.fitted_levels = unrolled
+            windows.projections, windows.fitted_levels = unrolled
 
     return run
 

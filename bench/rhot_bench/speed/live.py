@@ -31,8 +31,7 @@ from rhot_sim.comparison.collect import follow
 from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
-from rhot_sim.running.processes import bus_of, with_processes
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import bus_of, free_endpoint, with_processes
 from rhot_sim.world.world import World
 from rhot_tools.measures.rows import Row, Section
 

@@ -27,8 +27,7 @@ from rhot.messages import ServiceStatus, decode
 from rhot.operation.control import broadcast
 from rhot.rig import Rig
 from rhot_bench.speed.live import Arrivals, latencies_s, played_rig, reading
-from rhot_sim.running.processes import bus_of, with_processes
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import bus_of, free_endpoint, with_processes
 from rhot_tools.measures.rows import Row, Section
 
 BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")

@@ -30,7 +30,7 @@ from rhot.rig import BusConfig
 from rhot.rig.folder import write_text_atomic
 from rhot_bench.speed.played_camera import write_played_rig
 from rhot_bench.speed.process_costs import ForeignLoad, ProcessCost, process_cost
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 from rhot_tools.measures.rows import Row, Section
 
 _ENDPOINT: Final = "tcp/127.0.0.1:7467"

@@ -21,9 +21,16 @@ from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_quaternion, vector_from_rotation
 from rhot.messages import Side
 from rhot_bench.feet.runs import SIDES
-from rhot_bench.number_table import read_columns
-from rhot_bench.steps.dead_reckoning import faster, horizontal_error_m, reckon
-from rhot_bench.steps.held_out import Reckoned, held_out_rows, kind_rows, reckoned
+from rhot_bench.processes import read_columns
+from rhot_bench.steps.dead_reckoning import (
+    Reckoned,
+    faster,
+    held_out_rows,
+    horizontal_error_m,
+    kind_rows,
+    reckon,
+    reckoned,
+)
 from rhot_bench.steps.markers import follow_marker, marker_figures, read_marker_test, tilt_figures
 from rhot_bench.steps.walks import StepTrial, hide_swings, read_places, read_step_trial
 from rhot_bench.thesis.feet import ThesisFeet

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot_bench.feet.heads import START_NS
-from rhot_bench.number_table import read_columns
+from rhot_bench.processes import read_columns
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.model import FootFilterSettings
-from rhot_feet.imu.conversion import RawImuConverter
-from rhot_feet.imu.samples import ImuSamples
+from rhot_feet.imu.samples import ImuSamples, RawImuConverter
 
 SIGMA_M: Final = 0.003
 """Noise of the positions that are shown, per axis."""

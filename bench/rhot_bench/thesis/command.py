@@ -19,14 +19,13 @@ from rhot.messages import PointSet
 from rhot.offline import track
 from rhot.rig import Rig
 from rhot_bench.measures.hands import START_NS
-from rhot_bench.number_table import read_table
+from rhot_bench.processes import read_table
 from rhot_bench.speed.cores import MILLI, Scene, capture_section
 from rhot_bench.speed.simulated import Cameras, Capture, moments
 from rhot_bench.thesis.capture import ThesisDetector
-from rhot_bench.thesis.fusion import law_depth_m
+from rhot_bench.thesis.ik import law_depth_m
 from rhot_bench.thesis.paint_samples import thesis_boxes
-from rhot_bench.tracking.simulated_rig import RATE_HZ, simulated_rig
-from rhot_bench.tracking.tracking import scene_frames
+from rhot_bench.tracking.tracking import RATE_HZ, scene_frames, simulated_rig
 from rhot_sim.world.motion import MotionSample, StillMotion
 from rhot_sim.world.world import World
 from rhot_tools.measures.output import counted, json_option, show

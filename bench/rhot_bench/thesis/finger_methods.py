@@ -11,8 +11,7 @@ from rhot.arrays import FloatArray
 from rhot.rig.file_model import FileModel
 from rhot_bench.thesis.fabrik.finger_chains import FabrikFingers
 from rhot_bench.thesis.options import checked
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
 
 
 class _NoOptions(FileModel):

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from rhot.errors import ConfigError
-from rhot.messages.problems import first_problem
+from rhot.messages.base import first_problem
 from rhot.rig.file_model import FileModel
 
 Model = TypeVar("Model", bound=FileModel)

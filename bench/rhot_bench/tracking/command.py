@@ -16,10 +16,8 @@ from rhot.cli.options import FiniteRange
 from rhot.report.svg import histogram, line_plot
 from rhot.rig import Rig
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.tracking.simulated_rig import simulated_rig
-from rhot_bench.tracking.tracking import MM, SETTLE_S, Scene, Tracked, run_scene, tracking_sections
-from rhot_tools.measures.html import html_report
-from rhot_tools.measures.output import counted, json_option, page_option, show
+from rhot_bench.tracking.tracking import MM, SETTLE_S, Scene, Tracked, run_scene, simulated_rig, tracking_sections
+from rhot_tools.measures.output import counted, html_report, json_option, page_option, show
 from rhot_tools.measures.rows import check_output
 
 _FAST_S: Final = 15.0

@@ -2,27 +2,76 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
+from rich.progress import Progress
 
 from rhot.anatomy.hand import HandModel
 from rhot.arrays import FloatArray
+from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, PointSet
 from rhot.offline import track
-from rhot.rig import Rig
-from rhot_bench.measures.hands import START_NS, HandFigures, against_truth, hand_figures
-from rhot_bench.measures.visibility import Survival, survival, visible_markers
+from rhot.rig import Rig, load_rig
+from rhot.rig.folder import RIG_FILE
+from rhot.text import as_argument
+from rhot_bench.measures.hands import (
+    START_NS,
+    HandFigures,
+    Survival,
+    against_truth,
+    hand_figures,
+    survival,
+    visible_markers,
+)
 from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
 from rhot_sim.rendering.coverage import MarkerCoverage
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.folder import true_cameras, write_simulated_rig
 from rhot_sim.world.world import World
-from rhot_tools.measures.delay import REACH_S, STEP_S, delay_s
 from rhot_tools.measures.points import PointTrack, false_points, identity_swaps, jitter_m, point_track, true_path
 from rhot_tools.measures.rows import Row, Section
+from rhot_tools.measures.streams import REACH_S, STEP_S, delay_s
+
+# The simulated rig that is measured: the user's own, or a temporary one.
+
+RATE_HZ: Final = 60.0
+
+
+@contextlib.contextmanager
+def simulated_rig(path: Path | None, progress: Progress, seed: int = 1) -> Iterator[Rig]:
+    """Give a simulated rig: the one in a folder, or a temporary one.
+
+    Raises:
+        ConfigError: the folder holds no rig, or a real one.
+    """
+    if path is not None:
+        if not (path / RIG_FILE).exists():
+            raise ConfigError(
+                f"--rig {path}: holds no {RIG_FILE}; `rhot init {as_argument(path)} --sim` makes a simulated rig"
+            )
+        rig = load_rig(path)
+        real = [name for name, camera in rig.config.cameras.items() if camera.source != "simulated"]
+        if real or len(rig.config.cameras) < 2:
+            raise ConfigError(
+                f"--rig {path}: two simulated cameras or more are needed, {', '.join(real) or 'too few'} will not do; "
+                "`rhot init RIG --sim` makes a simulated rig"
+            )
+        yield rig
+        return
+    task = progress.add_task("preparing the simulated rig", total=None)
+    with tempfile.TemporaryDirectory(prefix="rhot-bench-") as folder:
+        rig = write_simulated_rig(Path(folder) / "rig", rate_hz=RATE_HZ, seed=seed)
+        progress.remove_task(task)
+        yield rig
+
+
+# The whole tracker over simulated pictures, and every figure of it against the truth.
 
 SETTLE_S: Final = 1.0
 MM: Final = 1e3

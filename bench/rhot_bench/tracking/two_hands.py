@@ -27,8 +27,7 @@ from rhot.rig import Rig
 from rhot.rig.marker_config import worn_paints
 from rhot_bench.measures.hands import START_NS, against_truth, hand_figures
 from rhot_bench.speed.simulated import Moment, moments, world_of
-from rhot_bench.tracking.simulated_rig import RATE_HZ
-from rhot_bench.tracking.tracking import MM, SETTLE_S, scene_frames
+from rhot_bench.tracking.tracking import MM, RATE_HZ, SETTLE_S, scene_frames
 from rhot_capture.detection.hand.sharing import SharedPaints, Spot
 from rhot_capture.detection.track import MarkerTrack
 from rhot_capture.timing import row_time_ns

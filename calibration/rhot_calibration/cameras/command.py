@@ -15,17 +15,16 @@ from rich.table import Table
 
 from rhot.cli.options import Finite, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot.rig import CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE, nominal_camera
 from rhot.text import as_argument
-from rhot_calibration.cameras.board.boards import DEFAULT_DICTIONARY, parse_board
-from rhot_calibration.cameras.calibration import Calibrated, bow_mm, cameras_file
+from rhot_calibration.cameras.board.grid import DEFAULT_DICTIONARY, parse_board
+from rhot_calibration.cameras.calibration import Calibrated, bow_mm, calibrate_rig, cameras_file, refuse_other_board
 from rhot_calibration.cameras.figures import MARKER_SIGMA_PX
 from rhot_calibration.cameras.interchange.interchange import export_opencv_yaml, import_cameras
 from rhot_calibration.cameras.live.live import collect
 from rhot_calibration.cameras.pictures import PictureReading, read_pictures
-from rhot_calibration.cameras.rig_calibration import calibrate_rig, refuse_other_board
 from rhot_calibration.cameras.solve.views import Board
 from rhot_calibration.writing import write_found
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel, epipolar_distance, meeting_points
-from rhot.geometry.rotations import cross_matrix, rotation_from_vector
-from rhot.geometry.transforms import inverse, rigid
+from rhot.geometry.rotations import cross_matrix, inverse, rigid, rotation_from_vector
 from rhot_calibration.cameras.bundle.adjustment import Adjusted
 from rhot_calibration.cameras.bundle.lens import LENS_NAMES, LENS_SIZE, camera_matrix
 

@@ -17,14 +17,13 @@ from rhot.errors import ConfigError
 from rhot.recording.picture_file import decode_picture
 from rhot.rig import CamerasFile, load_rig
 from rhot.rig.folder import CAMERAS_FILE
-from rhot_calibration.cameras.board.boards import parse_board
-from rhot_calibration.cameras.calibration import Calibrated, cameras_file
+from rhot_calibration.cameras.board.grid import parse_board
+from rhot_calibration.cameras.calibration import Calibrated, calibrate_rig, cameras_file, refuse_other_board
 from rhot_calibration.cameras.live.coverage import WANTED_FILL, WANTED_SHARED, WANTED_TILTED, WANTED_VIEWS
 from rhot_calibration.cameras.live.display import state_line
 from rhot_calibration.cameras.live.live import CONNECT_S, Collector, prepare_folder, rounds
 from rhot_calibration.cameras.live.session import Progress, Session, State
 from rhot_calibration.cameras.pictures import PictureReading
-from rhot_calibration.cameras.rig_calibration import calibrate_rig, refuse_other_board
 from rhot_calibration.cameras.solve.views import Board, ViewSet
 from rhot_calibration.page_step import PageStep, trial_buttons
 

@@ -16,9 +16,8 @@ from rhot.geometry.camera import CameraModel
 from rhot_calibration.cameras.bundle.adjustment import Key
 from rhot_calibration.cameras.figures import CameraFigures, ExpectedError
 from rhot_calibration.cameras.live.coverage import camera_coverage, similar
-from rhot_calibration.cameras.solve.bump import find_bump
 from rhot_calibration.cameras.solve.causes import Cause
-from rhot_calibration.cameras.solve.refusals import MIN_COMMON, MIN_VIEWS
+from rhot_calibration.cameras.solve.refusals import MIN_COMMON, MIN_VIEWS, find_bump
 from rhot_calibration.cameras.solve.solve import Solution
 from rhot_calibration.cameras.solve.views import BoardView, ViewSet
 

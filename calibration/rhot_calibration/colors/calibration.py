@@ -20,10 +20,24 @@ from rhot.rig.calibration import today
 from rhot.rig.colors import ColorComponent, ColorsFile, Gains, GaussianColor, log_ratio
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints, worn_paints
-from rhot_calibration.colors.model.fit import COUNTER_FLOOR, MARKER_FLOOR, fit_component, fit_mixture, with_gloss
-from rhot_calibration.colors.model.quality import MarkerQuality, class_pixels, marker_quality, quality_as_plain
-from rhot_calibration.colors.model.samples import ClassPixels, inner, marker_pixels
-from rhot_calibration.colors.model.separability import Separability, separability
+from rhot_calibration.colors.model.fit import (
+    COUNTER_FLOOR,
+    MARKER_FLOOR,
+    ClassPixels,
+    fit_component,
+    fit_mixture,
+    inner,
+    marker_pixels,
+    with_gloss,
+)
+from rhot_calibration.colors.model.separability import (
+    MarkerQuality,
+    Separability,
+    class_pixels,
+    marker_quality,
+    quality_as_plain,
+    separability,
+)
 from rhot_calibration.colors.picking import regions as picked
 from rhot_calibration.colors.picking.picks import Box, Place, Places, place_text
 from rhot_capture.detection.blob import find_blobs

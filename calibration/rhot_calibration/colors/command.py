@@ -21,11 +21,9 @@ from rhot.rig.calibration import today
 from rhot.rig.colors import ColorsFile
 from rhot.rig.marker_config import own_paints
 from rhot_calibration.colors.import_2018 import load_box_calibration, load_camera_settings, rig_lines
-from rhot_calibration.colors.learning import learn_colors
-from rhot_calibration.colors.live import live_pictures
+from rhot_calibration.colors.learning import learn_colors, live_pictures
 from rhot_calibration.colors.picking.picks import parse_places
-from rhot_calibration.colors.report.console import confusion_table, marker_table
-from rhot_calibration.colors.report.picture import report_picture
+from rhot_calibration.colors.report.picture import confusion_table, marker_table, report_picture
 from rhot_calibration.picture_light import BLACK, PictureLight
 from rhot_calibration.writing import write_found
 from rhot_capture.preview import preview_jpeg

@@ -16,7 +16,7 @@ from typing import Any, Final
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.rig.colors import ColorsFile, RgbBoxColor
-from rhot.text_files import parse_json, read_text
+from rhot.text import parse_json, read_text
 
 _SHUTTER_S: Final = 0.33
 _ISO: Final = 800.0

@@ -11,8 +11,7 @@ from rhot.errors import CalibrationError, RhotError
 from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
 from rhot.rig.folder import COLORS_FILE, load_rig
-from rhot_calibration.colors.learning import Learnt, learn
-from rhot_calibration.colors.live import live_pictures
+from rhot_calibration.colors.learning import Learnt, learn, live_pictures
 from rhot_calibration.colors.picking.clicks import Clicks
 from rhot_calibration.page_step import PageStep, trial_buttons
 

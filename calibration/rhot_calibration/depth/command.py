@@ -14,7 +14,7 @@ from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
 from rhot.cli.options import FiniteRange
 from rhot.errors import CalibrationError
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
 
 _COLUMNS = "distance_cm and either disparity_px or left_x and right_x"

@@ -15,14 +15,21 @@ from rhot.cli.options import Finite, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.messages import PointSet, Side
 from rhot.recording import load_recording
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot.rig import BusConfig, HandFile, Rig, load_rig
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
-from rhot_calibration.hand.calibration import measure_hand
-from rhot_calibration.hand.proportions import typed_hand
-from rhot_calibration.hand.samples.phases import LIVE_PHASES, LIVE_S, Phases, Window, prompt_at
-from rhot_calibration.hand.samples.sources import live_points, recorded_points, stored_points
+from rhot_calibration.hand.calibration import measure_hand, typed_hand
+from rhot_calibration.hand.samples.samples import (
+    LIVE_PHASES,
+    LIVE_S,
+    Phases,
+    Window,
+    live_points,
+    prompt_at,
+    recorded_points,
+    stored_points,
+)
 from rhot_calibration.writing import write_found
 
 

@@ -11,10 +11,8 @@ from rhot.messages import Side
 from rhot.rig import HandFile, load_rig
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
-from rhot_calibration.hand.calibration import measure_hand
-from rhot_calibration.hand.proportions import typed_hand
-from rhot_calibration.hand.samples.phases import LIVE_PHASES, LIVE_S, prompt_at
-from rhot_calibration.hand.samples.sources import live_points
+from rhot_calibration.hand.calibration import measure_hand, typed_hand
+from rhot_calibration.hand.samples.samples import LIVE_PHASES, LIVE_S, live_points, prompt_at
 from rhot_calibration.page_step import PageStep, trial_buttons
 
 

@@ -13,9 +13,8 @@ from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig, load_rig
 from rhot.rig.folder import HEADSET_FILE
-from rhot_calibration.headset.checks import headset_file, judged, report_lines
-from rhot_calibration.headset.collector import WANTED, ViewCollector
-from rhot_calibration.headset.streams import collect_views, views_recorded
+from rhot_calibration.headset.fit import headset_file, judged, report_lines
+from rhot_calibration.headset.streams import WANTED, ViewCollector, collect_views, views_recorded
 from rhot_calibration.writing import write_found
 
 _PATIENCE_S: Final = 30.0

@@ -12,9 +12,8 @@ from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, S
 from rhot.errors import ConfigError
 from rhot.rig import HeadsetFile, load_rig
 from rhot.rig.folder import HEADSET_FILE
-from rhot_calibration.headset.checks import Judged, headset_file, judged, report_lines
-from rhot_calibration.headset.collector import MOTIONS, ViewCollector
-from rhot_calibration.headset.streams import collect_views
+from rhot_calibration.headset.fit import Judged, headset_file, judged, report_lines
+from rhot_calibration.headset.streams import MOTIONS, ViewCollector, collect_views
 from rhot_calibration.page_step import PageStep, trial_buttons
 
 _PATIENCE_S: Final = 30.0

@@ -14,7 +14,7 @@ from rhot.bus import Bus
 from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView
 from rhot.errors import BusError, ConfigError, RhotError
 from rhot.rig.folder import load_config
-from rhot_calibration.colors.live import decoded
+from rhot_calibration.colors.learning import decoded
 from rhot_calibration.picture_light import PictureLight
 
 MAX_GAIN_RATIO: Final = 1.25

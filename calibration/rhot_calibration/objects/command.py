@@ -20,14 +20,13 @@ from rhot.atomic_file import why_unread
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.geometry.rotations import rotation_from_quaternion
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot.rig import BusConfig, RegistrationFile, Rig, load_rig
 from rhot.rig.config import ObjectSource
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
-from rhot_calibration.objects.collector import Place, PlaceCollector
 from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit, first_prior, fit_registration
-from rhot_calibration.objects.live import collect_places
+from rhot_calibration.objects.live import Place, PlaceCollector, collect_places
 from rhot_calibration.objects.record import (
     RegistrationQuality,
     change,

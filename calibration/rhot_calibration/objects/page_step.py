@@ -14,9 +14,8 @@ from rhot.rig import RegistrationFile, load_rig
 from rhot.rig.folder import REGISTRATION_FILE, registration_name
 from rhot.rig.kept_file import KeptFile
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
-from rhot_calibration.objects.collector import Place, PlaceCollector
 from rhot_calibration.objects.fit import Places, RegistrationFit, first_prior, fit_registration
-from rhot_calibration.objects.live import collect_places
+from rhot_calibration.objects.live import Place, PlaceCollector, collect_places
 from rhot_calibration.objects.record import registration_file
 from rhot_calibration.objects.touch.checks import judged
 from rhot_calibration.objects.touch.collector import TouchCollector

@@ -19,9 +19,8 @@ from scipy.optimize import least_squares
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
-from rhot.geometry.transforms import rigid
-from rhot_calibration.cameras.board.boards import half_turn_ambiguous
+from rhot.geometry.rotations import rigid, rotation_from_vector, vector_from_rotation
+from rhot_calibration.cameras.board.grid import half_turn_ambiguous
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 
 SAME_PLANE_M: Final = 0.004

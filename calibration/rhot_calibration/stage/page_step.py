@@ -14,12 +14,11 @@ from rhot.geometry.camera import CameraModel
 from rhot.rig import StageFile, load_rig
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
 from rhot.rig.folder import STAGE_FILE, registration_path
-from rhot_calibration.cameras.board.boards import parse_board
+from rhot_calibration.cameras.board.grid import parse_board
 from rhot_calibration.cameras.live.live import CONNECT_S
 from rhot_calibration.page_step import PageStep, trial_buttons
 from rhot_calibration.stage.desk import DeskFit, fit_desk, residual_text
-from rhot_calibration.stage.floor import FORWARDS, Forward, desk_file, registration_stage
-from rhot_calibration.stage.live import look_at_desk
+from rhot_calibration.stage.floor import FORWARDS, Forward, desk_file, look_at_desk, registration_stage
 
 
 class StageStep(PageStep[StageFile]):

@@ -10,11 +10,10 @@ from typing import Any, Final
 
 import zenoh
 
-from rhot.bus.limits import MAX_REPLIES, MAX_REPLY_BYTES
+from rhot.bus.zenoh_config import MAX_REPLIES, MAX_REPLY_BYTES
 from rhot.errors import RhotError
 from rhot.messages import Message, encode, encoding_of
-from rhot.sparing_log import SparingLog
-from rhot.text import printable
+from rhot.text import SparingLog, printable
 
 logger = logging.getLogger(__name__)
 _sparing = SparingLog()

@@ -13,14 +13,13 @@ from typing import Final, Protocol, TypeVar
 
 import zenoh
 
-from rhot.bus.limits import MAX_SAMPLE_BYTES, MAX_WAITING_ANSWERS, LimitCounts
 from rhot.bus.publisher import Publisher
 from rhot.bus.query import Answerer, Reply, TimedAnswer, received, refuse, respond
 from rhot.bus.subscriber import EventSubscriber, LatestSubscriber
-from rhot.bus.zenoh_config import plain_reason, session_config
+from rhot.bus.zenoh_config import MAX_SAMPLE_BYTES, MAX_WAITING_ANSWERS, LimitCounts, plain_reason, session_config
 from rhot.errors import BusError
 from rhot.messages import Message
-from rhot.rig.bus_config import BusConfig
+from rhot.rig.marker_config import BusConfig
 
 logger = logging.getLogger(__name__)
 

@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import zenoh
 
-from rhot.bus.limits import (
+from rhot.bus.zenoh_config import (
     MAX_FOREIGN_KEYS,
     MAX_KNOWN_KEYS,
     MAX_SAMPLE_BYTES,

@@ -34,7 +34,7 @@ _COMMANDS: Final = {
         "stop": LazyCommand("Tell every service of the rig to stop.", "rhot_tools.operate.start_stop:stop"),
         "status": LazyCommand(
             "Show which services are running, with their rates, losses, latency and errors.",
-            "rhot_tools.operate.status:status",
+            "rhot_tools.operate.start_stop:status",
         ),
         "config": LazyCommand(
             "Show or change a running service's configuration.", "rhot_tools.operate.configure:config"
@@ -81,7 +81,9 @@ _COMMANDS: Final = {
         "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
         "viewer": LazyCommand("Service: serve the web page that shows the running rig.", extra="viewer"),
         "bridge": LazyCommand("Service: send what is tracked to other programs: VMC, VRChat, JSON, ….", extra="bridge"),
-        "router": LazyCommand("Service: the Zenoh router that others connect to.", "rhot_tools.operate.router:router"),
+        "router": LazyCommand(
+            "Service: the Zenoh router that others connect to.", "rhot_tools.operate.start_stop:router"
+        ),
         "truth": LazyCommand("Service: publish the truth of the simulated world.", extra="sim"),
     },
 }

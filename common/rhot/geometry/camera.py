@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.geometry.distortion import RATIONAL, distorted
-from rhot.geometry.rotations import cross_matrix
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import cross_matrix, rigid
 from rhot.rig.calibration import CameraCalibration, matrix3, matrix4
 
 

@@ -16,12 +16,45 @@ What no convex body has stays wrong: the hole of a handle, the inside of a bowl,
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
+
+# Rectangles of an image.
+
+
+class Region(NamedTuple):
+    """Columns left to right − 1 and rows top to bottom − 1 of an image, pixels."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def area(self) -> int:
+        """Number of pixels."""
+        return (self.right - self.left) * (self.bottom - self.top)
+
+    def overlaps(self, other: Region) -> bool:
+        """Return whether the regions have common pixels."""
+        across = self.left < other.right and other.left < self.right
+        return across and self.top < other.bottom and other.top < self.bottom
+
+    def joined(self, other: Region) -> Region:
+        """Return the smallest region that contains both."""
+        return Region(
+            min(self.left, other.left),
+            min(self.top, other.top),
+            max(self.right, other.right),
+            max(self.bottom, other.bottom),
+        )
+
+
+# Convex bodies as planes: how far points lie outside of them, and what they look like.
 
 _APART_DEG: Final = range(1, 91)
 """Angles that normals are made to keep, until few enough are left; the box's six keep 90° anyway."""

@@ -24,9 +24,9 @@ from rhot.messages.base import (
     Side,
     State,
     WireModel,
+    first_problem,
 )
 from rhot.messages.codec import MAX_PAYLOAD_BYTES, decode, encode, encoding_of, unpack, with_seq
-from rhot.messages.markers import Marker, MarkerFrame, Point, PointSet
 from rhot.messages.objects import (
     BodyJoint,
     BodyPose,
@@ -39,15 +39,18 @@ from rhot.messages.objects import (
     HeadPose,
     Joint,
     LegAngles,
+    Marker,
+    MarkerFrame,
     MeshShape,
     ObjectPose,
     ObjectShape,
+    Point,
+    PointSet,
     Space,
     SphereShape,
     TruePose,
     Truth,
 )
-from rhot.messages.problems import first_problem
 from rhot.messages.services import ClockReply, Control, ServiceStatus
 
 __all__ = [

@@ -8,8 +8,7 @@ import msgpack
 from pydantic import ValidationError
 
 from rhot.errors import WireError
-from rhot.messages.base import Message
-from rhot.messages.problems import first_problem
+from rhot.messages.base import Message, first_problem
 
 MAX_PAYLOAD_BYTES: Final = 1 << 20
 """Size of the largest payload that is decoded; a full HandPose has about 3 kB."""

@@ -12,7 +12,7 @@ from rhot.clock import Exchange, SystemClock
 from rhot.errors import BusError, WireError
 from rhot.messages import Control, decode
 from rhot.service.clock_sync import exchange_once
-from rhot.service.control_link import CONTROL_KEY
+from rhot.service.control import CONTROL_KEY
 
 
 async def rig_now_ns(bus: Bus, wait_s: float) -> int:

@@ -11,7 +11,7 @@ from rich.text import Text
 from rhot.bus import Bus
 from rhot.errors import WireError
 from rhot.messages import ServiceStatus, decode
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 
 _MOST_ROWS: Final = 100
 """Services that are shown; a rig has about ten."""

@@ -4,6 +4,32 @@ from __future__ import annotations
 
 from html import escape
 
+from rich import box
+from rich.table import Table
+
+# Tables of figures on the terminal.
+
+
+def figures_table(*columns: str, title: str | None = None, names: int = 1) -> Table:
+    """Return an empty table: so many columns of `names` on the left, then figures, aligned to the right.
+
+    In a narrow terminal a figure goes on in the next line: one that is cut off reads as another figure.
+    """
+    table = Table(
+        title=title,
+        title_justify="left",
+        header_style="bold",
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index < names else "right", overflow="fold")
+    return table
+
+
+# A report as one HTML file: tables and plots, nothing to load from elsewhere.
+
 _STYLE = """
 body { font-family: sans-serif; max-width: 800px; margin: 2em auto; padding: 0 1em; color: #222; }
 table { border-collapse: collapse; margin: 0.5em 0 1.5em; font-size: 14px; }

@@ -1,7 +1,5 @@
 """A rig on disk: `rig.toml`, written by people, beside the files that calibration wrote."""
 
-from rhot.rig.bridge_config import BridgeConfig, BridgeTarget
-from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import (
     CameraCalibration,
     CamerasFile,
@@ -22,6 +20,7 @@ from rhot.rig.config import (
 )
 from rhot.rig.feet_config import BodyConfig, DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
 from rhot.rig.folder import Rig, load_rig, read_json_model, write_json_model
+from rhot.rig.marker_config import BridgeConfig, BridgeTarget, BusConfig
 
 __all__ = [
     "BodyConfig",

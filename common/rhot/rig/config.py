@@ -8,15 +8,21 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from rhot.messages import Name, Side
-from rhot.rig.bridge_config import BridgeConfig
-from rhot.rig.bus_config import BusConfig
 from rhot.rig.calibration import DeskHeight
 from rhot.rig.feet_config import BodyConfig, FeetConfig, WalkProgram
 from rhot.rig.file_model import FileModel, HoldS, NotNegative, Positive, Vector3
+from rhot.rig.marker_config import (
+    PICTURE_NEUTRAL,
+    BridgeConfig,
+    Brightness,
+    BusConfig,
+    Contrast,
+    Saturation,
+    ShapeConfig,
+    V4l2Control,
+    check_shared_paints,
+)
 from rhot.rig.marker_config import MarkerConfig as MarkerConfig  # noqa: PLC0414 - others look for it here
-from rhot.rig.marker_config import check_shared_paints
-from rhot.rig.picture_config import PICTURE_NEUTRAL, Brightness, Contrast, Saturation, V4l2Control
-from rhot.rig.shape_config import ShapeConfig
 
 
 class CameraConfig(FileModel):

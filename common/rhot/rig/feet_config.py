@@ -9,8 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import rotation_x
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_x
 from rhot.messages import Side
 from rhot.rig.file_model import FileModel, HoldS, Positive, Vector3
 

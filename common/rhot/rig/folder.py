@@ -28,8 +28,7 @@ from rhot.rig.calibration import (
     StageFile,
 )
 from rhot.rig.config import CameraConfig, ObjectSource, RigConfig
-from rhot.text import as_argument
-from rhot.text_files import parse_json, parse_toml, read_text
+from rhot.text import as_argument, parse_json, parse_toml, read_text
 
 logger = logging.getLogger(__name__)
 
@@ -74,7 +73,7 @@ class Rig:
             position from `rig.toml`, no distortion).
         hand: `hand.json`, or the default scaled by `[hand] length_m`.
         registration: `registration.json`, or identity; it holds for sources that have none of their own.
-        quality: what `cameras.json` says of itself; see `rhot.rig.quality`.
+        quality: what `cameras.json` says of itself; see `rhot.rig.calibration`.
         stage: `stage.json`, where the floor is; None when it is not known.
         registrations: those of one source of tracked objects alone, `registration.<source>.json`.
         headset: `headset.json`, where the feet's camera sits; None when only `rig.toml` says so.

@@ -16,7 +16,7 @@ from rhot.errors import ConfigError
 from rhot.messages import first_problem
 from rhot.rig.config import RigConfig
 from rhot.rig.folder import RIG_FILE, write_text_atomic
-from rhot.text_files import parse_toml
+from rhot.text import parse_toml
 
 Value = str | int | float | Sequence[float] | Sequence[str]
 """What can be written: a text, a number or truth value, or a list of numbers or texts."""

@@ -13,7 +13,7 @@ from rhot.clock import NodeClock, RigClock
 from rhot.errors import WireError
 from rhot.messages import Message, decode
 from rhot.service.status import StatusBoard
-from rhot.sparing_log import SparingLog
+from rhot.text import SparingLog
 
 logger = logging.getLogger(__name__)
 

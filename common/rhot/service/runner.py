@@ -21,14 +21,13 @@ from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
 from rhot.errors import BusError, ConfigError, DeviceError, HungDeviceError, RhotError, WireError
 from rhot.keys import SERVICES, key_file
 from rhot.messages import Control, ServiceStatus
-from rhot.rig.bus_config import BusConfig
-from rhot.service import configuration, systemd
+from rhot.rig.marker_config import BusConfig
+from rhot.service import configuration
 from rhot.service.clock_sync import ClockWatch, keep_synced, serve_clock, watch_for_rivals
-from rhot.service.control import with_start_in_reach
-from rhot.service.control_link import CONTROL_KEY, ControlLink
+from rhot.service.control import CONTROL_KEY, ControlLink, with_start_in_reach
 from rhot.service.node import Node
 from rhot.service.status import StatusBoard
-from rhot.service.stop import install_stop, run_to_the_end
+from rhot.service.stop import install_stop, notify, run_to_the_end, watchdog_interval_s
 
 logger = logging.getLogger(__name__)
 
@@ -165,7 +164,7 @@ class _Runner:
             bus.alive(self._key("alive"))
             self._status.state = "waiting"
             logger.info("%s %s is connected and waits for start", service.name, service.instance)
-            systemd.notify("READY=1")
+            notify("READY=1")
             # What exists by now lives as long as the process: the collector need not look through it again and again,
             # which costs some ten milliseconds each time.
             gc.collect()
@@ -184,7 +183,7 @@ class _Runner:
                     tasks.create_task(self._run_sessions(node))
             finally:
                 self._status.state = "stopping"
-                systemd.notify("STOPPING=1")
+                notify("STOPPING=1")
 
     def _key(self, kind: str) -> str:
         return f"rhot/{kind}/{self._service.name}/{self._service.instance}"
@@ -271,7 +270,7 @@ class _Runner:
 
     async def _check_loop(self) -> None:
         """Keep systemd's watchdog quiet while the event loop turns, and note when it did not."""
-        interval_s = systemd.watchdog_interval_s()
+        interval_s = watchdog_interval_s()
         loop = asyncio.get_running_loop()
         published_s = loop.time()
         while True:
@@ -279,7 +278,7 @@ class _Runner:
             await asyncio.sleep(_LOOP_CHECK_S)
             self._status.latency("loop_lag", max(0.0, loop.time() - before - _LOOP_CHECK_S))
             if interval_s is not None and loop.time() - published_s >= interval_s:
-                systemd.notify("WATCHDOG=1")
+                notify("WATCHDOG=1")
                 published_s = loop.time()
 
     def _answer_config(self, loop: asyncio.AbstractEventLoop, request: Request) -> Answer:

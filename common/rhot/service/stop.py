@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Coroutine
@@ -12,6 +13,35 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from rhot.errors import EXIT_AGAIN, HungDeviceError
+
+# Telling systemd that a service is ready and alive (the sd_notify protocol); nothing outside systemd.
+
+
+def notify(state: str) -> None:
+    """Send a line such as `READY=1` to systemd; does nothing where nobody listens."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    if address.startswith("@"):  # an abstract socket
+        address = "\0" + address[1:]
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+            channel.sendto(state.encode(), address)
+    except OSError:
+        # systemd went away or the socket is not ours; the service itself is well.
+        return
+
+
+def watchdog_interval_s() -> float | None:
+    """Return how often systemd wants a sign of life (half its limit), None when it does not."""
+    try:
+        limit_us = int(os.environ.get("WATCHDOG_USEC", ""))
+    except ValueError:
+        return None
+    return limit_us / 2e6 if limit_us > 0 else None
+
+
+# How a process of ours is asked to end.
 
 EXIT_WITH_PARENT: Final = "RHOT_EXIT_WITH_PARENT"
 """Set by a parent that holds the other end of standard input: when that closes, however the parent died, end too."""

@@ -29,8 +29,7 @@ from typing import Final, TypeVar, cast
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse, product_matrix, quaternion_from_rotation
 from rhot_bridge.scene import Axes, Poses, Scene
 
 _UNITY_POSITION: Final = np.array([1.0, 1.0, -1.0])

@@ -20,9 +20,8 @@ from rhot.service import Node
 from rhot.service.runner import serve
 from rhot_bridge.axes import Converter
 from rhot_bridge.feed import Feed
-from rhot_bridge.newest import Newest
+from rhot_bridge.newest import Newest, Pace
 from rhot_bridge.output import SampleOutput, check_settings, make_output
-from rhot_bridge.pace import Pace
 from rhot_bridge.scene import Tracked
 
 logger = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from rhot.rig.colors import load_colors
 from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.color_table import ColorTable, camera_tables
 from rhot_capture.detection.detector import MarkerDetector
-from rhot_capture.sources.pictures import read_pictures
+from rhot_capture.sources.recorded import read_pictures
 from rhot_capture.timing import marker_frame
 
 Progress = Callable[[int], None]

@@ -20,13 +20,12 @@ from rhot.clock import NodeClock
 from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, MarkerFrame
 from rhot.recording.camera_picture import CameraPicture, jpeg_of
-from rhot.recording.picture_stream import PictureStream
+from rhot.recording.picture_folder import PictureStream
 from rhot.rig import Rig
 from rhot.rig.config import CameraConfig
 from rhot.rig.file_model import FileModel, Positive
 from rhot.rig.folder import latest_rig, load_config, read_json_model, write_json_model
-from rhot.rig.marker_config import own_paints, worn_paints
-from rhot.rig.picture_config import Brightness, Contrast, Saturation
+from rhot.rig.marker_config import Brightness, Contrast, Saturation, own_paints, worn_paints
 from rhot.rig.toml_edit import change_rig_file
 from rhot.service import Node
 from rhot.service.grabber import Grabber
@@ -34,9 +33,8 @@ from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.cutouts import marker_mask
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.detection.result import Detection
-from rhot_capture.live_colors import LiveColors
 from rhot_capture.preview import preview_jpeg, preview_png
-from rhot_capture.settings import CameraSettings
+from rhot_capture.settings import CameraSettings, LiveColors
 from rhot_capture.sources import Frame, ReportsProblem, Source, grab, open_source
 from rhot_capture.timing import marker_frame, row_time_ns
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from rhot.bus import Bus, Publisher
 from rhot.messages import Side
 from rhot.recording.camera_picture import CameraPicture, Lens, jpeg_of, png_of
-from rhot.recording.picture_stream import PictureStream
-from rhot.recording.sensor_samples import MOST_SAMPLES, SENSORS_KEY, SensorSamples
+from rhot.recording.feet_tables import MOST_SAMPLES, SENSORS_KEY, SensorSamples
+from rhot.recording.picture_folder import PictureStream
 from rhot.rig.calibration import matrix3
 from rhot_feet.frames import DepthFrame
 from rhot_feet.imu.samples import ImuSamples

@@ -11,7 +11,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.covariances import squared_distance
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot.messages import Side
 
 OTHER_FOOT: Final[dict[Side, Side]] = {"left": "right", "right": "left"}

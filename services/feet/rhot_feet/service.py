@@ -23,9 +23,9 @@ from rhot.rig import Rig
 from rhot.rig.feet_config import FeetConfig, ImuConfig
 from rhot.rig.folder import latest_rig
 from rhot.service import Node
+from rhot.service.configuration import serve_rig_files
 from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot.service.grabber import Grabber, GrabberCounts
-from rhot.service.rig_files import serve_rig_files
 from rhot.service.spaces import publish_spaces
 from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import DepthFrame, DepthSource
@@ -97,8 +97,10 @@ def open_depth_source(rig: Rig, now_ns: Callable[[], int]) -> DepthSource:
 
         return RealSenseSource(camera, now_ns)
     if camera.source == "recorded":
-        from rhot_feet.sources.depth_camera.recorded import RecordedDepthSource  # noqa: PLC0415
-        from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording  # noqa: PLC0415
+        from rhot_feet.sources.depth_camera.recorded_frames import (  # noqa: PLC0415
+            RecordedDepthSource,
+            load_depth_recording,
+        )
 
         path = rig.resolve(camera.path or "")
         return RecordedDepthSource(lambda: load_depth_recording(path), now_ns, loop=camera.loop)

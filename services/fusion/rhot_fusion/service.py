@@ -9,7 +9,7 @@ from rhot.messages import MarkerFrame
 from rhot.rig import FusionConfig, Rig
 from rhot.rig.folder import latest_rig
 from rhot.service import CoreService, Node
-from rhot.service.rig_files import serve_rig_files
+from rhot.service.configuration import serve_rig_files
 from rhot.service.spaces import publish_spaces
 from rhot_fusion.core import FusionCore
 

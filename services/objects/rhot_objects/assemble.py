@@ -10,7 +10,7 @@ from rhot.object_mesh import object_shape
 from rhot.plugins import load_simulated
 from rhot.rig import ObjectConfig, Rig
 from rhot_objects.core import ObjectCore
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Registration
 from rhot_objects.sources import PoseSource
 from rhot_objects.sources.recorded import RecordedSource
 from rhot_objects.sources.steamvr import SteamVrSource

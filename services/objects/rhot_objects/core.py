@@ -10,8 +10,7 @@ import numpy as np
 from rhot.core import Output
 from rhot.messages import HeadPose, ObjectPose, ObjectShape, State
 from rhot.messages.base import wire_position, wire_quaternion
-from rhot_objects.pose import Pose
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Pose, Registration
 from rhot_objects.sources import HEAD, PoseSample
 
 RIG_FRAME: Final = "rig"

@@ -20,7 +20,7 @@ from rhot.rig.folder import latest_rig
 from rhot.service import Node
 from rhot.service.device_thread import CLOSE_LIMIT_S, OPEN_LIMIT_S, DeviceThread
 from rhot_objects.assemble import SourcePlan, plan_sources, source_kind
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Registration
 from rhot_objects.sources import SpaceMovedError
 
 logger = logging.getLogger(__name__)

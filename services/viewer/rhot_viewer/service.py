@@ -24,7 +24,7 @@ from rhot.rig.marker_config import own_paints
 from rhot.service import Node
 from rhot.service.runner import serve
 from rhot_viewer.browser.access import Access
-from rhot_viewer.browser.marker_colors import marker_colors
+from rhot_viewer.browser.camera_layer import marker_colors
 from rhot_viewer.browser.overview import Problems
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
@@ -42,8 +42,7 @@ from rhot_viewer.panels import (
 from rhot_viewer.panels.live import STATUS_AGE_S
 from rhot_viewer.process_priority import end_within, lower_priority
 from rhot_viewer.rig.capture_settings import CaptureSettings
-from rhot_viewer.rig.history import History
-from rhot_viewer.rig.inbox import Inbox
+from rhot_viewer.rig.inbox import History, Inbox
 from rhot_viewer.rig.live_recording import LiveRecording
 
 logger = logging.getLogger(__name__)

@@ -15,11 +15,10 @@ from rich.text import Text
 from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.messages import BodyPose, FootPose, Side
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot_sim.comparison.accuracy import seconds_since
 from rhot_sim.comparison.collect import follow
-from rhot_sim.comparison.figures import joined, latency_ms, spread
-from rhot_sim.comparison.table import number_text
+from rhot_sim.comparison.figures import joined, latency_ms, number_text, spread
 from rhot_sim.walker.world import WalkerWorld
 
 # Tables of the figures of a run with feet, for the terminal.

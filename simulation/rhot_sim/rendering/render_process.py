@@ -1,6 +1,6 @@
 """Rendering in a process of its own, as a real camera exposes without asking the Pi's processor.
 
-The child (see `rhot_sim.rendering.picture_child`) says that it is ready by one byte on its standard output. Then it
+The child (see `rhot_sim.rendering.render_process`) says that it is ready by one byte on its standard output. Then it
 reads times (one float64 each) from its standard input, draws each picture into the next slot of a ring in shared
 memory, and says so by another byte.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import mmap
 import os
+import signal
 import struct
 import subprocess
 import sys
@@ -22,7 +23,38 @@ from rhot.arrays import ImageArray
 from rhot.errors import DeviceError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import load_rig
-from rhot_sim.rendering.picture_child import end, keep_out_of_the_way
+
+# What the child processes that draw simulated pictures have in common.
+#
+# In one process with tracking, drawing would hold Python's interpreter lock while a picture waits to be looked at, and
+# latency would measure the simulator. A child reads requests from its standard input, writes pictures to its standard
+# output, and ends with its parent, whose death closes that input.
+
+_NICE: Final = 5
+_STOP_S: Final = 0.5
+
+
+def keep_out_of_the_way() -> None:
+    """Make this process a drawing child: lower priority, one thread, deaf to Ctrl-C, which is for the parent."""
+    import cv2  # noqa: PLC0415  # the parent may do without
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(_NICE)
+    cv2.setNumThreads(1)
+
+
+def end(child: subprocess.Popen[bytes]) -> None:
+    """End a drawing child, whatever it is doing."""
+    child.terminate()
+    try:
+        child.wait(_STOP_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+
+
+# Rendering in a process of its own, as a real camera exposes without asking the Pi's processor.
 
 AHEAD: Final = 16
 """Pictures that may be begun and not yet taken. A quarter of a second at 60 Hz: longer than a machine with two cores is

@@ -12,8 +12,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel, epipolar_distance, meeting_points
-from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
-from rhot.geometry.transforms import inverse, rigid
+from rhot.geometry.rotations import inverse, rigid, rotation_from_vector, vector_from_rotation
 from rhot.rig.calibration import CameraCalibration, CamerasFile, today
 from rhot.rig.config import CameraConfig
 from rhot_sim.world.script import seeded

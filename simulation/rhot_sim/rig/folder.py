@@ -15,8 +15,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import rotation_y
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_y
 from rhot.messages import Side
 from rhot.rig import HandFile, RegistrationFile, Rig, RigidTransform, StageFile, load_rig, write_json_model
 from rhot.rig.calibration import today

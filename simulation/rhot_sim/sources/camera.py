@@ -20,7 +20,7 @@ from rhot.clock import NodeClock, SkewedClock
 from rhot.errors import ConfigError, DeviceError
 from rhot.rig import CameraConfig, Rig
 from rhot.rig.colors import ColorsFile
-from rhot.rig.picture_config import PICTURE_NEUTRAL
+from rhot.rig.marker_config import PICTURE_NEUTRAL
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer

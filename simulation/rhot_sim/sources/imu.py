@@ -10,8 +10,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot.rig import Rig
-from rhot_feet.imu.conversion import FusedImuConverter
-from rhot_feet.imu.samples import ImuSamples
+from rhot_feet.imu.samples import FusedImuConverter, ImuSamples
 from rhot_sim.walker.world import WalkerWorld
 
 _BACK_S: Final = 0.05

@@ -11,8 +11,7 @@ import numpy as np
 
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector
 from rhot.rig import Rig
-from rhot_objects.pose import Pose
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Pose, Registration
 from rhot_objects.sources import HEAD, PoseSample
 from rhot_sim.world.touching import T_DEVICE_OBJECT
 from rhot_sim.world.world import World

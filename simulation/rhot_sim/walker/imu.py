@@ -25,14 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import cross_matrix, nearest_rotation, quaternion_from_rotation
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import cross_matrix, nearest_rotation, quaternion_from_rotation, rigid
 from rhot.messages import Side
 from rhot_feet.imu.samples import GRAVITY_M_S2
-from rhot_sim.walker.foot_path import Step
-from rhot_sim.walker.plan import OUTWARDS, SIDES
+from rhot_sim.walker.foot_path import OUTWARDS, SIDES, Step
+from rhot_sim.world.motion import evaluate_spline
 from rhot_sim.world.script import seeded
-from rhot_sim.world.spline import evaluate_spline
 
 Poses = Callable[[FloatArray], FloatArray]
 

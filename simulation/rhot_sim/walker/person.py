@@ -1,6 +1,6 @@
 """The whole person as a function of time: feet along their paths, hips over them, legs between, head on top.
 
-Hips, trunk and head follow uniform cubic B-splines (`rhot_sim.world.spline`) whose controls, ten a second, come from
+Hips, trunk and head follow uniform cubic B-splines (`rhot_sim.world.motion`) whose controls, ten a second, come from
 the plan: the hips stay between the footprints, shift to the standing leg, and are held as high as both legs allow at
 all times near, so that every leg reaches its ankle with the lengths of the body model.
 """
@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import FloatArray
 from rhot.messages import Side
-from rhot_sim.walker.foot_path import FootPath, Sole, rotations
-from rhot_sim.walker.plan import OUTWARDS, SIDES, Posture
+from rhot_sim.walker.foot_path import OUTWARDS, SIDES, FootPath, Posture, Sole, rotations
 from rhot_sim.walker.programs import plan_program
+from rhot_sim.world.motion import evaluate_spline, ramp
 from rhot_sim.world.script import seeded
-from rhot_sim.world.spline import evaluate_spline, ramp
 
 # One leg between hip and ankle: where the knee is, exactly, and how thigh and shank lie.
 

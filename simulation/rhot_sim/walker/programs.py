@@ -16,10 +16,9 @@ import numpy as np
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import FloatArray
 from rhot.messages import Side
-from rhot_sim.walker.foot_path import Print, Sole
-from rhot_sim.walker.plan import OUTWARDS, SIDES, Choreographer, Plan, Posture
+from rhot_sim.walker.foot_path import OUTWARDS, SIDES, Choreographer, Plan, Posture, Print, Sole
 from rhot_sim.walker.sway import draw_wave, swaying
-from rhot_sim.world.spline import bump
+from rhot_sim.world.motion import bump
 
 # The six walking tasks of the 2021 thesis: what its persons did for Table 5.1.
 #

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_sim.walker.plan import Posture
-from rhot_sim.world.spline import bump
+from rhot_sim.walker.foot_path import Posture
+from rhot_sim.world.motion import bump
 
 
 def draw_wave(rng: np.random.Generator, band_hz: tuple[float, float]) -> Callable[[FloatArray], FloatArray]:

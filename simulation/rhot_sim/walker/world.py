@@ -18,20 +18,18 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_cells
 from rhot.errors import ConfigError
-from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_from_vector, rotation_x, rotation_y
 from rhot.messages import Side, Truth
 from rhot.rig.feet_config import DepthCameraConfig, FeetConfig, FootConfig
 from rhot.rig.folder import Rig
 from rhot_sim.rendering.backdrop import SensorNoise
+from rhot_sim.walker.foot_path import SIDES
 from rhot_sim.walker.imu import AnkleImu, ImuErrors
 from rhot_sim.walker.person import Person, PersonSample, person_of, transforms
 from rhot_sim.walker.pictures.camera import FrameTiming, frame_timing, intrinsics
 from rhot_sim.walker.pictures.color import Card, ColorRenderer, Image, Scene
-from rhot_sim.walker.pictures.depth import DepthImage, DepthRenderer
+from rhot_sim.walker.pictures.depth import CARD_SHARE, DepthImage, DepthRenderer, limbs_at
 from rhot_sim.walker.pictures.disturbances import Disturbances, Mishaps
-from rhot_sim.walker.pictures.solids import CARD_SHARE, limbs_at
-from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.programs import LOOK_AT_MARKER
 from rhot_sim.world.motion import true_pose
 from rhot_sim.world.script import seeded

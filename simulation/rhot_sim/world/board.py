@@ -16,8 +16,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_from_vector, vector_from_rotation
 from rhot_sim.world.motion import MotionSample
 from rhot_sim.world.script import seeded
 

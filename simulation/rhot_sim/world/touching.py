@@ -15,18 +15,17 @@ import numpy as np
 
 from rhot.anatomy.hand import MOVING, HandModel
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import rotation_from_vector
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_from_vector
 from rhot.messages import Side
 from rhot_sim.world.motion import (
     OBJECT_SIZE_M,
     PALM_FORWARD_M,
     MotionSample,
     StillMotion,
+    evaluate_spline,
     lying_pose,
     wrist_poses,
 )
-from rhot_sim.world.spline import evaluate_spline
 
 T_DEVICE_OBJECT: Final[FloatArray] = rigid(
     rotation_from_vector(np.array([0.5, -0.9, 0.7])), np.array([0.02, 0.055, -0.03])

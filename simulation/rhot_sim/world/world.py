@@ -22,19 +22,19 @@ from rhot.rig.folder import Rig
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.board import BoardMotion, ChessBoard, LyingBoard
-from rhot_sim.world.gestures import EASE_DEG, GESTURES
 from rhot_sim.world.motion import (
     OBJECT_SIZE_M,
     PALM_FORWARD_M,
     Motion,
     MotionSample,
     StillMotion,
+    bump,
+    evaluate_spline,
     home_x_m,
     true_pose,
     wrist_poses,
 )
-from rhot_sim.world.script import GESTURE_KNOTS, KNOT_S, ScriptedMotion, seeded
-from rhot_sim.world.spline import bump, evaluate_spline
+from rhot_sim.world.script import EASE_DEG, GESTURE_KNOTS, GESTURES, KNOT_S, ScriptedMotion, seeded
 from rhot_sim.world.touching import TouchMotion
 
 # Two hands that touch and cross, over and over: what tells a tracker's hands apart, or mixes them up.

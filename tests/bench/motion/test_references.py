@@ -6,9 +6,8 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot_bench.motion.references.plain_ekf import plain_ekf
-from rhot_bench.motion.references.spline_reference import spline_reference
-from rhot_bench.motion.references.views import Views, triangulated
-from rhot_tools.measures.estimates import MEASURED, Estimates
+from rhot_bench.motion.references.spline_reference import Views, spline_reference, triangulated
+from rhot_tools.measures.points import MEASURED, Estimates
 
 BASELINE_M = 0.1
 P = np.stack([np.eye(4)[:3], np.column_stack([np.eye(3), [-BASELINE_M, 0.0, 0.0]])])

@@ -12,10 +12,8 @@ from rhot.anatomy.hand import HandModel
 from rhot.errors import ConfigError
 from rhot.rig import HandFile
 from rhot_bench.motion.errors import coverage, hand_errors, point_errors
-from rhot_bench.motion.hand_motion import HandMotion
-from rhot_bench.motion.recordings import list_recordings, read_recording
-from rhot_bench.motion.references.spline_reference import spline_reference
-from rhot_bench.motion.references.views import views_of
+from rhot_bench.motion.recordings import HandMotion, list_recordings, read_recording
+from rhot_bench.motion.references.spline_reference import spline_reference, views_of
 from rhot_bench.motion.rigs import Family
 from rhot_bench.motion.tracks import MARKERS, START_NS, Tracks, make_tracks
 

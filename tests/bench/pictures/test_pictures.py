@@ -13,7 +13,7 @@ from rhot.offline import track
 from rhot.recording import load_recording
 from rhot.rig import Rig
 from rhot_bench.motion.references.plain_ekf import plain_ekf
-from rhot_bench.motion.references.views import views_of
+from rhot_bench.motion.references.spline_reference import views_of
 from rhot_bench.pictures.rendered import (
     Measures,
     at_rate_of,

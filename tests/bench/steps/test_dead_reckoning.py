@@ -8,8 +8,7 @@ import numpy as np
 
 from rhot_bench.steps.dead_reckoning import faster, horizontal_error_m, reckon
 from rhot_bench.steps.walks import read_places
-from rhot_feet.imu.conversion import RawImuConverter
-from rhot_feet.imu.samples import GRAVITY_M_S2
+from rhot_feet.imu.samples import GRAVITY_M_S2, RawImuConverter
 from rhot_feet.sources.imu.recorded import read_samples
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_bench.steps.held_out import CANDIDATES, Reckoned, held_out_rows, kind_of, kind_rows
+from rhot_bench.steps.dead_reckoning import CANDIDATES, Reckoned, held_out_rows, kind_of, kind_rows
 
 
 def trial(motion: str, best: int) -> Reckoned:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_bench.thesis.foot_filter import ThesisFilter
+from rhot_bench.thesis.feet import ThesisFilter
 from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
 
 UNUSED = np.eye(3)

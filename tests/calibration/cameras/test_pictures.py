@@ -9,9 +9,9 @@ import pytest
 from boards.pictures import board_picture
 
 from rhot.errors import CalibrationError, ConfigError
-from rhot_calibration.cameras.board.boards import parse_board
+from rhot_calibration.cameras.board.grid import parse_board
+from rhot_calibration.cameras.calibration import refuse_other_board
 from rhot_calibration.cameras.pictures import read_pictures
-from rhot_calibration.cameras.rig_calibration import refuse_other_board
 
 BOARD = parse_board("9x6", 0.025)
 

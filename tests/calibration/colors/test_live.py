@@ -16,7 +16,7 @@ from rhot.errors import BusError, DeviceError
 from rhot.rig import BusConfig
 from rhot.rig.colors import load_colors
 from rhot_calibration.colors.command import colors
-from rhot_calibration.colors.live import decoded, live_pictures
+from rhot_calibration.colors.learning import decoded, live_pictures
 
 
 def coded(image: Any, suffix: str) -> bytes:

@@ -17,8 +17,8 @@ from rhot.messages import PointSet
 from rhot.rig import BusConfig, load_rig
 from rhot_calibration.hand import page_step
 from rhot_calibration.hand.page_step import HandStep
-from rhot_calibration.hand.samples import sources
-from rhot_calibration.hand.samples.phases import LIVE_S, prompt_at
+from rhot_calibration.hand.samples import samples
+from rhot_calibration.hand.samples.samples import LIVE_S, prompt_at
 
 NOTHING = {"length_mm": "", "width_mm": ""}
 
@@ -66,7 +66,7 @@ async def test_a_measurement_says_what_to_do_and_can_be_stopped(
 async def test_what_is_heard_is_measured(rig_folder: Path, router: BusConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Points that come become a refusal in words: a hand cannot be measured by one point set."""
     passed_s = 0.0
-    monkeypatch.setattr(sources, "time", SimpleNamespace(monotonic=lambda: passed_s))
+    monkeypatch.setattr(samples, "time", SimpleNamespace(monotonic=lambda: passed_s))
     step = HandStep(StepContext(rig_folder, router))
     async with await Bus.open(router) as bus:
         points = bus.publisher("rhot/points", PointSet)

@@ -18,10 +18,10 @@ from rhot.rig import BusConfig, HeadsetFile, Rig, load_rig, read_json_model
 from rhot.rig.calibration import RigidTransform
 from rhot.rig.folder import HEADSET_FILE, write_json_model
 from rhot_calibration.headset import command, page_step
-from rhot_calibration.headset.collector import ViewCollector
 from rhot_calibration.headset.command import headset
 from rhot_calibration.headset.fit import mounting_error
 from rhot_calibration.headset.page_step import HeadsetStep
+from rhot_calibration.headset.streams import ViewCollector
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.world import WalkerWorld
 

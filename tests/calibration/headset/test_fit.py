@@ -14,10 +14,8 @@ from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.rig import Rig, load_rig
-from rhot_calibration.headset.checks import camera_angles_rad, headset_file, judged
-from rhot_calibration.headset.collector import ViewCollector
-from rhot_calibration.headset.first_poses import HeadsetView
-from rhot_calibration.headset.fit import fit_headset, mounting_error
+from rhot_calibration.headset.fit import camera_angles_rad, fit_headset, headset_file, judged, mounting_error
+from rhot_calibration.headset.streams import HeadsetView, ViewCollector
 from rhot_sim.walker.folder import write_walker_rig
 
 

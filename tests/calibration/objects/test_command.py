@@ -23,11 +23,10 @@ from rhot.geometry.rotations import (
 )
 from rhot.messages import ObjectPose, Point, PointSet
 from rhot.rig import BusConfig, RegistrationFile, RigidTransform, read_json_model, write_json_model
-from rhot_calibration.objects.collector import PlaceCollector
 from rhot_calibration.objects.command import COLUMNS, objects, read_places
+from rhot_calibration.objects.live import PlaceCollector
 from rhot_calibration.objects.page_step import ObjectStep
-from rhot_objects.pose import Pose
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Pose, Registration
 
 R = rotation_from_vector(np.array([0.4, -1.2, 0.7]))
 T = np.array([0.3, 0.9, 1.6])

@@ -15,7 +15,7 @@ from rhot.bus import Answer, Bus
 from rhot.calibration_step import StepContext
 from rhot.cli.main import main
 from rhot.errors import BusError, ConfigError
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse
 from rhot.rig import BusConfig, Rig, StageFile, load_rig, read_json_model
 from rhot_calibration.stage.page_step import StageStep
 from rhot_sim.rig.folder import true_stage

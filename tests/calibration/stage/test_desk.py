@@ -11,8 +11,7 @@ from boards.views import BOARD, CAMERAS
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import rotation_from_vector, rotation_z
-from rhot.geometry.transforms import inverse, rigid
+from rhot.geometry.rotations import inverse, rigid, rotation_from_vector, rotation_z
 from rhot.rig.config import CameraConfig, SimConfig
 from rhot_calibration.cameras.solve.views import BoardView, ViewSet
 from rhot_calibration.stage.desk import SAME_PLANE_M, fit_desk, triangulated

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot_capture.detection.blob import blobs_of
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, judge
 from rhot_capture.detection.color_table import ColorTable

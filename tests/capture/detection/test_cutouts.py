@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.cutouts import Cutouts
 

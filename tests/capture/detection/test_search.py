@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhot_capture.detection.color_table import ColorTable
-from rhot_capture.detection.search import find_regions
+from rhot_capture.detection.track import find_regions
 
 CLOTH = 30
 

@@ -27,7 +27,7 @@ from rhot.operation.status import fetch_status
 from rhot.operation.supervisor import Supervisor
 from rhot.rig import BusConfig, load_rig
 from rhot_sim.rig.folder import true_cameras, write_simulated_rig
-from rhot_sim.running.run import free_endpoint
+from rhot_sim.running.processes import free_endpoint
 from rhot_sim.world.world import World
 
 SERVICES = ("fusion", "ik", "objects")

@@ -5,11 +5,10 @@ import pytest
 from marker_scenes import background, ball_depths, depth_camera, depth_image, plane_depths
 from numpy.typing import NDArray
 
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot.geometry.rotations import rotation_x
 from rhot.messages import Side
-from rhot_feet.depth.floor import FloorPlane, find_floor
-from rhot_feet.depth.points import COARSE_PX, PixelRays
+from rhot_feet.depth.plane import COARSE_PX, FloorPlane, PixelRays, find_floor
 from rhot_feet.depth.tracker import DepthTracker
 from rhot_feet.frames import DepthFrame
 from rhot_feet.prediction import FootPrediction

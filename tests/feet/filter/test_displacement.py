@@ -10,7 +10,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_between, rotation_from_quaternion
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.model import FootFilterSettings, FootState
-from rhot_feet.imu.conversion import FusedImuConverter
+from rhot_feet.imu.samples import FusedImuConverter
 
 SIGMA_M = 0.002
 

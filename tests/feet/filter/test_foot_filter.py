@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from foot_walk import SIGMA_M, Walk, follow, ns
 
-from rhot_bench.thesis.foot_filter import ThesisFilter
+from rhot_bench.thesis.feet import ThesisFilter
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.model import FootFilterSettings
 from rhot_feet.imu.alignment.estimator import AlignmentEstimator

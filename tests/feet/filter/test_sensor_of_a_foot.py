@@ -16,7 +16,7 @@ from rhot_feet.filter.inertial import InertialModel
 from rhot_feet.filter.model import FootMotion, Observation
 from rhot_feet.filter.strapdown import ATTITUDE, InertialNoise, InertialState, Strapdown
 from rhot_feet.imu.alignment.equations import Alignment
-from rhot_feet.imu.conversion import up_rotation
+from rhot_feet.imu.samples import up_rotation
 from rhot_feet.imu.track import InertialStep
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector, rotation_x
 from rhot_feet.filter.strapdown import SIZE, InertialNoise, InertialState, Strapdown, inject
-from rhot_feet.imu.conversion import FusedImuConverter, RawImuConverter, level_rotation, up_rotation
+from rhot_feet.imu.samples import FusedImuConverter, RawImuConverter, level_rotation, up_rotation
 from rhot_feet.imu.track import InertialStep
 
 T_NS = np.arange(100) * 10_000_000

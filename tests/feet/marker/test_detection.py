@@ -9,7 +9,7 @@ import pytest
 from marker_scenes import DICTIONARY, SIZE_M, background, depth_camera, draw_marker, tilted, with_noise
 
 from rhot.aruco_dictionary import marker_dictionary
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot_feet.marker.detection import MarkerFinder
 from rhot_feet.marker.pose import square_corners
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rhot.aruco_dictionary import R_FOOT_MARKER, marker_dictionary
 from rhot.messages import Side
-from rhot_feet.depth.floor import FloorPlane
+from rhot_feet.depth.plane import FloorPlane
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker.tracker import MarkerTracker
 from rhot_feet.prediction import FootPrediction

@@ -17,7 +17,7 @@ from rhot_fusion.core import FusionCore
 from rhot_fusion.filter.acquisition import hands_of
 from rhot_fusion.filter.tracker import FilterTracker
 from rhot_fusion.filter.tracks import LOST_M
-from rhot_fusion.views.vectors import vector
+from rhot_fusion.views.sightings import vector
 
 MakeRig = Callable[..., Rig]
 

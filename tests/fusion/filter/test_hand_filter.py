@@ -15,8 +15,7 @@ from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.motion import motion_of
 from rhot_fusion.filter.smoothing.smoother import Event, Frame, Node, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
-from rhot_fusion.filter.systematic import CALIBRATION_DOUBT, Systematic
-from rhot_fusion.filter.tracker import CameraNoise, stated_px
+from rhot_fusion.filter.systematic import CALIBRATION_DOUBT, CameraNoise, Systematic, stated_px
 from rhot_fusion.filter.tracks import CALIBRATED, GATE
 
 COUNT = 6

@@ -8,7 +8,7 @@ from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.paint import Paint
-from rhot_fusion.views.vectors import vector
+from rhot_fusion.views.sightings import vector
 
 
 def half_hidden(rate_hz: float) -> tuple[Paint, FloatArray, FloatArray]:

@@ -8,8 +8,7 @@ from hands.pinholes import CAMERAS
 
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import CALIBRATED, outcome_of, within_hand
-from rhot_fusion.views.sightings import Upper
-from rhot_fusion.views.vectors import Vector
+from rhot_fusion.views.sightings import Upper, Vector
 
 EXTENT_M = 0.037
 LONG: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 0.08**2)

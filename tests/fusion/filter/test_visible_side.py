@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.rotations import rotation_z
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_z
 from rhot_fusion.filter.visible_side import SkinSides, VisibleArea, visible_side
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])

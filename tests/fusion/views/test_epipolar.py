@@ -9,7 +9,7 @@ from marker_streams import models, pinhole_cameras
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig
-from rhot_bench.thesis.paired.triangulate import Triangulation
+from rhot_bench.thesis.paired.marker_states import Triangulation
 from rhot_fusion.views.epipolar import EpipolarModel
 
 FOCAL_PX = 530.5

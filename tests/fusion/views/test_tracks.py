@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_fusion.views.tracks import Tracks
+from rhot_fusion.views.epipolar import Tracks
 
 ONE = np.array([0])
 FAST = 100.0

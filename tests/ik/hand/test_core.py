@@ -14,8 +14,7 @@ from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import HandPose, PointSet, decode, encode
 from rhot.rig import HandFile, IkConfig, Rig
 from rhot_ik.hand.core import HandCore
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
 
 
 def test_first_sample_gives_a_full_valid_message(

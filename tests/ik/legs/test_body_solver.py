@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from rhot.anatomy.body_proportions import BodyModel
-from rhot.geometry.rotations import rotation_y
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_y
 from rhot.rig import BodyConfig
 from rhot_ik.legs.body_core import solve_body
-from rhot_ik.legs.leg import Ankle
+from rhot_ik.legs.hips import Ankle
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))
 

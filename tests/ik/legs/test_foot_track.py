@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_x, rotation_y
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import quaternion_from_rotation, rigid, rotation_x, rotation_y
 from rhot.messages import FootPose, Side
 from rhot_ik.legs.foot_track import FootTrack, HipMotion
 

@@ -9,12 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rhot.anatomy.body_proportions import BodyModel
-from rhot.geometry.rotations import rotation_x, rotation_y
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_x, rotation_y
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot_ik.legs.hips import estimate_hips, hip_joint
-from rhot_ik.legs.leg import Ankle
+from rhot_ik.legs.hips import Ankle, estimate_hips, hip_joint
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))
 UP = np.array([0.0, 1.0, 0.0])

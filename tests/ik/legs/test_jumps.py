@@ -15,8 +15,8 @@ from rhot.messages import BodyPose, FootPose, HeadPose, Side
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import BodyConfig, load_rig
 from rhot_ik.legs.body_core import FOOT, HEAD, BodyCore, JumpBridge
+from rhot_sim.walker.foot_path import SIDES
 from rhot_sim.walker.person import Person, person_of
-from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.programs import PROGRAMS
 from rhot_sim.walker.world import WalkerWorld
 

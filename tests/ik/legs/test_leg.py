@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rhot_ik.legs.leg import bend_leg
+from rhot_ik.legs.hips import bend_leg
 
 THIGH, SHANK = 0.43, 0.42
 coordinate = st.floats(-1.5, 1.5)

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from rhot.anatomy.body_proportions import BodyModel
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
 from rhot_ik.legs.body_core import Stature
-from rhot_ik.legs.hips import OUTWARDS
-from rhot_ik.legs.leg import Ankle
+from rhot_ik.legs.hips import OUTWARDS, Ankle
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))
 SIDES: tuple[Side, Side] = ("left", "right")

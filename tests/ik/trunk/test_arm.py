@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhot.arrays import FloatArray
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid
 from rhot.messages import Side
 from rhot_ik.trunk.upper_body import LONGEST, hand_axes, solve_arm
 

@@ -7,8 +7,7 @@ import pytest
 
 from rhot.anatomy.body_proportions import SPINE_SHARES, BodyModel
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y, rotation_z
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from rhot.rig import BodyConfig
 from rhot_ik.trunk.upper_body import spine
 

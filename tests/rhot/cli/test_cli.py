@@ -18,7 +18,7 @@ from rich.console import Console
 from rhot.cli import main
 from rhot.cli.options import tool_bus
 from rhot.errors import ConfigError
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot.rig.folder import load_config
 from rhot.text import printable
 from rhot_tools.operate.configure import parse_assignments

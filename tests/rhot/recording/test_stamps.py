@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhot.recording.stamps import CONFIRMATIONS, StampGate
+from rhot.recording.tables import CONFIRMATIONS, StampGate
 
 FRAME_NS = 16_000_000
 FUTURE_NS = 3_600_000_000_000

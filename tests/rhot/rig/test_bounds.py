@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import pytest
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from rhot.rig.bus_config import BusConfig
 from rhot.rig.config import (
     CameraConfig,
     FusionConfig,
@@ -23,6 +22,7 @@ from rhot.rig.config import (
     SimConfig,
 )
 from rhot.rig.feet_config import BodyConfig, DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
+from rhot.rig.marker_config import BusConfig
 
 MODELS = (
     BusConfig, CameraConfig, FusionConfig, HandConfig, IkConfig, MarkerConfig, ObjectConfig, RigConfig, SimConfig,

@@ -9,7 +9,7 @@ from bus_watch import answers
 
 from rhot.bus import Answer, Bus
 from rhot.rig import BusConfig
-from rhot.service.rig_files import RIG_KEY, fetch_rig_files, serve_rig_files
+from rhot.service.configuration import RIG_KEY, fetch_rig_files, serve_rig_files
 
 
 async def test_a_recorder_without_the_rig_gets_its_settings(rig_folder: Path, router: BusConfig) -> None:

@@ -25,7 +25,7 @@ from rhot.errors import BusError, WireError
 from rhot.messages import ClockReply, Control, encode
 from rhot.operation.control import broadcast, followers
 from rhot.rig import BusConfig
-from rhot.service import ControlState, control_link
+from rhot.service import ControlState, control
 from rhot.service.clock_sync import exchange_with_all
 from rhot.service.runner import serve
 from rhot_tools.operate.start_stop import _control
@@ -169,7 +169,7 @@ async def test_the_first_start_of_a_rig_is_known_to_be_followed(
 
 
 async def test_a_stop_for_another_session_stops_nothing(router: BusConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(control_link, "_QUERY_INTERVAL_S", 0.05)
+    monkeypatch.setattr(control, "_QUERY_INTERVAL_S", 0.05)
     async with running(doubler(), router), await Bus.open(router) as bus, await Bus.open(router) as other:
         await start(bus, "one")
         await wait_for_status(bus, "fusion/main", lambda status: status.session == "one")

@@ -9,8 +9,8 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.rig import DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
+from rhot_sim.walker.foot_path import SIDES
 from rhot_sim.walker.imu import R_UP_RIG, ImuErrors
-from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.world import WalkerWorld
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from rhot.arrays import FloatArray
 from rhot.rig.feet_config import WalkProgram
+from rhot_sim.walker.foot_path import SIDES
 from rhot_sim.walker.person import Person, PersonSample
-from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.programs import PROGRAMS
 
 MakePerson = Callable[..., Person]

@@ -16,11 +16,11 @@ from rhot.errors import ConfigError
 from rhot.messages import Side, Truth, decode, encode
 from rhot.rig import BodyConfig, load_rig
 from rhot_sim.walker.folder import write_walker_rig
+from rhot_sim.walker.foot_path import SIDES
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.pictures.camera import DELAY_S
 from rhot_sim.walker.pictures.depth import DISPARITY_SIGMA_PX
 from rhot_sim.walker.pictures.disturbances import Cover, Disturbances
-from rhot_sim.walker.plan import SIDES
 from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.world import World
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhot.arrays import FloatArray
-from rhot_sim.world.spline import basis, bump, evaluate_spline, ramp
+from rhot_sim.world.motion import basis, bump, evaluate_spline, ramp
 
 
 def control_of(knot: int) -> FloatArray:

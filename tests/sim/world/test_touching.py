@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from rhot.anatomy.hand import MOVING, HandModel
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse
 from rhot.rig import HandFile
 from rhot_sim.world.motion import OBJECT_SIZE_M
 from rhot_sim.world.touching import FACES, TOUCHES_A_FACE, WAIT_S, TouchMotion

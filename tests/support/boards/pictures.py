@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot_calibration.cameras.board.boards import charuco_board
+from rhot_calibration.cameras.board.grid import charuco_board
 from rhot_calibration.cameras.solve.views import Board
 
 GrayImage = NDArray[np.uint8]

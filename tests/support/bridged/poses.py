@@ -10,8 +10,7 @@ import numpy as np
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_x, rotation_y, rotation_z
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import quaternion_from_rotation, rigid, rotation_x, rotation_y, rotation_z
 from rhot.messages import HandPose, Joint, ObjectPose, Side, Space
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import HandFile

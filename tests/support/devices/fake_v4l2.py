@@ -26,7 +26,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from rhot_capture.sources.v4l2.picture import IDENTIFIERS, VIDIOC_QUERYCTRL, V4l2QueryControl
+from rhot_capture.sources.v4l2.controls import IDENTIFIERS, VIDIOC_QUERYCTRL, V4l2QueryControl
 from rhot_capture.sources.v4l2.source import START_OF_EXPOSURE, VIDIOC_QUERYBUF, BufferQuery, V4l2Buffer
 
 _NAMES: Final = (

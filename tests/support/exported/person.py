@@ -7,8 +7,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_x
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import quaternion_from_rotation, rigid, rotation_x
 from rhot.messages import BodyJoint, BodyPose, FootPose, HeadPose, LegAngles, Side
 from rhot.messages.base import Position, Quaternion, wire_position, wire_quaternion
 

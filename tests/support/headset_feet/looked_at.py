@@ -12,7 +12,7 @@ from rhot.aruco_dictionary import marker_corners_m
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.rig.feet_config import BodyConfig
-from rhot_calibration.headset.first_poses import HeadsetView
+from rhot_calibration.headset.streams import HeadsetView
 from rhot_feet.frames import pinhole
 from rhot_sim.sources.objects import ORIENTATION_NOISE_RAD, POSITION_NOISE_M
 from rhot_sim.walker.programs import LOOK_AT_MARKER

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from rhot.messages import Side
-from rhot.recording.feet_tables import FeetTables
+from rhot.recording.feet_tables import FeetTables, SensorSamples
 from rhot.recording.picture_folder import PictureFolder
-from rhot.recording.sensor_samples import SensorSamples
 from rhot.rig import Rig
 from rhot_bench.feet.heads import START_NS, Heads
 from rhot_feet.frames import DepthFrame, pinhole

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from page.browser import Browser, wait_until
 
 from rhot.arrays import FloatArray
-from rhot_viewer.scene.cameras import PicturePlane
-from rhot_viewer.scene.viewpoint import Viewpoint, through
+from rhot_viewer.scene.viewpoint import PicturePlane, Viewpoint, through
 
 _MISSED_S = 10.0
 """A list that has not opened by now was missed."""

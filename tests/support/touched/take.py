@@ -12,7 +12,7 @@ from rhot.recording.mcap.writer import McapWriter
 from rhot.rig import RegistrationFile, Rig, RigidTransform, write_json_model
 from rhot.rig.folder import registration_name
 from rhot_objects.core import ObjectCore
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Registration
 from rhot_sim.rig.folder import with_motion, write_simulated_rig
 from rhot_sim.sources.objects import simulated_objects
 from rhot_sim.world.world import World

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rhot.arrays import FloatArray
-from rhot_tools.measures.delay import delay_s, stream_delay
+from rhot_tools.measures.streams import delay_s, stream_delay
 
 
 def path(t_s: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from rhot.errors import ConfigError
-from rhot_tools.measures.html import html_report
+from rhot_tools.measures.output import html_report
 from rhot_tools.measures.rows import Row, Section, as_json, check_output, missed, section_table
 
 NAN = float("nan")

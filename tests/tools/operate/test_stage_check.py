@@ -9,8 +9,7 @@ import pytest
 from bus_watch import settled
 
 from rhot.bus import Bus
-from rhot.geometry.rotations import rotation_x
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_x
 from rhot.messages import HandPose, Joint
 from rhot.rig import BusConfig, RegistrationFile, Rig, RigidTransform, StageFile, load_rig, write_json_model
 from rhot_tools.operate.doctor import check_hands, check_stage

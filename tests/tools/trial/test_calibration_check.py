@@ -13,11 +13,10 @@ from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import MarkerFrame
 from rhot.rig import CameraCalibration, Rig
-from rhot.rig.quality import epipolar_limit_px, figures_with_units, pair_epipolar_p95_px
+from rhot.rig.calibration import epipolar_limit_px, figures_with_units, pair_epipolar_p95_px
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_tools.trial.calibration_check import CalibrationReport, judge_calibration
-from rhot_tools.trial.epipolar_residuals import Track, fit_linear, interpolate
-from rhot_tools.trial.marker_tracks import TrackGatherer
+from rhot_tools.trial.epipolar_residuals import Track, TrackGatherer, fit_linear, interpolate
 
 Angles = tuple[float, float, float]
 

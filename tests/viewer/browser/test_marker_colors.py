@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rhot.rig import Rig, write_json_model
 from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, HsvRangeColor, RgbBoxColor
-from rhot_viewer.browser.marker_colors import marker_colors, screen_color
+from rhot_viewer.browser.camera_layer import marker_colors, screen_color
 
 
 def test_each_kind_of_colour_keeps_its_hue_and_is_bright() -> None:

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rhot.errors import WireError
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import quaternion_from_rotation, rigid, rotation_from_quaternion, rotation_from_vector
 from rhot_viewer.grasp.uplink import (
     MOST_BYTES,
     Devices,

@@ -6,7 +6,7 @@ import pytest
 
 from rhot.service.configuration import changed
 from rhot_capture.settings import CameraSettings
-from rhot_viewer.rig.camera_sliders import camera_sliders, merged_change
+from rhot_viewer.rig.capture_settings import camera_sliders, merged_change
 
 SETTINGS = CameraSettings(exposure_s=0.006, gain=4.0, white_balance=(1.6, 1.8), tolerances={"thumb": 1.0, "index": 1.2})
 SLIDERS = camera_sliders(SETTINGS.tolerances)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rhot_capture.color_bounds import ColorBounds
+from rhot_capture.settings import ColorBounds
 from rhot_viewer.panels.cameras import BoundsSliders, bounds_html, change_to, sliders_of
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhot.messages import ServiceStatus
-from rhot_viewer.rig.history import MOST_ROWS, SECONDS, History
+from rhot_viewer.rig.inbox import MOST_ROWS, SECONDS, History
 
 
 def status(service: str, rate: float, missed: int = 0) -> ServiceStatus:

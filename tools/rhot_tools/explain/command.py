@@ -21,11 +21,9 @@ from rhot.recording import PictureTrack, Recording, VideoTrack, load_recording
 from rhot.recording.mcap.reader import open_mcap
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
-from rhot_tools.explain.moment import Moment, moment_of_folder, moment_of_mcap
+from rhot_tools.explain.moment import Moment, Trace, difference_m, moment_of_folder, moment_of_mcap, trace_of
 from rhot_tools.explain.page import explanation_page
-from rhot_tools.explain.trace import Trace, difference_m, trace_of
-from rhot_tools.recordings.beside import attached_rig, pictures_beside
-from rhot_tools.recordings.span import newest
+from rhot_tools.recordings.beside import attached_rig, newest, pictures_beside
 
 # The first tables of an explanation: summary of the markers, messages published by the rig, its services.
 

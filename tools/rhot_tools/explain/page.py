@@ -14,7 +14,7 @@ from rhot.messages import MarkerFrame, PointSet
 from rhot.report.html import html_page
 from rhot.report.svg import line_plot
 from rhot.rig import Rig
-from rhot_tools.explain.trace import Trace
+from rhot_tools.explain.moment import Trace
 
 _STYLE = """
 body { max-width: 1320px; } td { vertical-align: top; }

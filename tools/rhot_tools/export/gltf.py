@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.geometry.hull import hull_surface
-from rhot.geometry.rotations import quaternion_from_rotation
-from rhot.geometry.transforms import inverse, rigid
+from rhot.geometry.rotations import inverse, quaternion_from_rotation, rigid
 from rhot.messages.objects import BoxShape, CylinderShape, MeshShape, ObjectShape, SphereShape
 from rhot_tools.export.poses import Motion
 from rhot_tools.export.skeleton_motion import SkeletonMotion, skeleton_motion

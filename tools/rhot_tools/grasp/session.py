@@ -10,7 +10,7 @@ import numpy as np
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import ConfigError
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid
 from rhot.messages import HandPose, Message, ObjectPose
 from rhot.messages.objects import ObjectShape
 from rhot_tools.export.poses import Motion, motions

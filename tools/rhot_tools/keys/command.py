@@ -19,11 +19,11 @@ from rhot.cli.options import rig_option
 from rhot.errors import ConfigError
 from rhot.keys import AUTHORITY, KEYS_FOLDER, Holder, RoleKind, load_roles, write_private
 from rhot.messages import first_problem
-from rhot.rig.bus_config import BusConfig
 from rhot.rig.config import RigConfig
 from rhot.rig.folder import COLORS_FILE, RIG_FILE, write_text_atomic
+from rhot.rig.marker_config import BusConfig
 from rhot.rig.toml_edit import change_rig_file
-from rhot.text_files import parse_toml
+from rhot.text import parse_toml
 
 # Taking over a bundle of certificates on another machine; needs no cryptography there.
 

@@ -13,7 +13,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from rhot.errors import ConfigError
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 
 _COLORS: Final = {"met": "green", "missed": "red", "not measured": "yellow", "": "default"}
 

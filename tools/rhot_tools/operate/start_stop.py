@@ -3,17 +3,98 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import json
+import logging
 from pathlib import Path
 from typing import Literal
 
 import click
+from rich.console import Console
 
 from rhot.bus import Bus
-from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, endpoints, namespace_option, overridden, rig_option, tool_bus
 from rhot.errors import BusError
+from rhot.messages import ServiceStatus
 from rhot.operation.control import broadcast, followers, new_session, newest_control, rig_now_ns
+from rhot.operation.status import fetch_status, status_table
 from rhot.rig import BusConfig
 from rhot.rig.folder import RIG_FILE, load_config
+from rhot.service.stop import install_stop, notify, watchdog_interval_s
+
+# `rhot router`: a Zenoh router inside Python, so that nothing else needs installing.
+
+logger = logging.getLogger(__name__)
+
+DEFAULT_LISTEN = ("tcp/127.0.0.1:7447",)
+
+
+async def _route(config: BusConfig) -> int:
+    stopping = install_stop()
+    async with await Bus.open(config):
+        who = "for who holds a certificate" if config.tls else "for everybody who reaches it"
+        logger.info("routing on %s, %s", ", ".join(config.listen), who)
+        notify("READY=1")
+        interval_s = watchdog_interval_s()
+        while not stopping.requested.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(stopping.requested.wait(), interval_s)
+            notify("WATCHDOG=1")
+    return stopping.exit_code
+
+
+@click.command()
+@click.option(
+    "--listen",
+    multiple=True,
+    metavar="ENDPOINT",
+    help="Endpoint to open. Without it, rig.toml decides, or else tcp/127.0.0.1:7447. May be repeated.",
+)
+@namespace_option
+@rig_option
+def router(listen: tuple[str, ...], rig_path: Path, namespace: str | None) -> int:
+    """Connect all services of a rig, until Ctrl-C. Any Zenoh router of the same version works too.
+
+    One router serves several namespaces. With certificates, clients can only access the namespace of the rig.
+    """
+    bus = load_config(rig_path).bus if (rig_path / RIG_FILE).exists() else BusConfig()
+    bus = overridden(bus, (), namespace)
+    chosen = endpoints("--listen", listen) or bus.listen or DEFAULT_LISTEN
+    return asyncio.run(_route(bus.model_copy(update={"mode": "router", "connect": (), "listen": chosen})))
+
+
+# `rhot start` and `rhot stop`: the broadcast that all services follow.
+
+# `rhot status`: which services are alive and how they do.
+
+
+async def _fetch(config: BusConfig) -> tuple[set[str], dict[str, ServiceStatus]]:
+    async with await Bus.open(config, timeout_s=2.0) as bus:
+        return await fetch_status(bus)
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per service instead of the table.")
+@rig_option
+@bus_options
+def status(as_json: bool, rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> None:
+    """Show which services are running, with their rates, losses, latency and errors.
+
+    Each row shows the messages published per second, frames dropped as late, frames lost by the source, invalid
+    messages rejected, the age of the output when it is sent, and the uncertainty of the clock. Problems are listed
+    below the table. --json holds everything that a service reports, such as all counts and the latency of each stage.
+    """
+    alive, statuses = asyncio.run(_fetch(tool_bus(rig_path, connect, namespace)))
+    if not alive and not statuses:
+        raise BusError("the router answers, but no service is there; `rhot up` starts the PC side, `rhot sim` a demo")
+    if as_json:
+        for name, value in sorted(statuses.items()):
+            click.echo(json.dumps({"alive": name in alive, **value.model_dump(exclude_none=True)}))
+        return
+    Console().print(status_table(alive, statuses))
+
+
+# `rhot start` and `rhot stop`: the broadcast that all services follow.
 
 _AUTO_WAIT_S = 3600.0
 _LOOKS = 3

@@ -7,15 +7,75 @@ import glob
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rhot.errors import ConfigError, RhotError
 from rhot.recording.folder import load_recording
 from rhot.recording.mcap.writer import RIG_PREFIX
-from rhot.recording.model import PictureTrack, Recording
+from rhot.recording.model import MarkerTrack, PictureTrack, Recording, VideoTrack
 from rhot.rig.folder import Rig, load_rig
+
+# A part of a recording folder, by time.
+
+Track = TypeVar("Track", bound=MarkerTrack | PictureTrack | VideoTrack)
+
+
+def between(recording: Recording, from_ns: int, to_ns: int) -> Recording:
+    """Return the frames of a recording that began within a span, both ends included; cameras without any are left out.
+
+    Raises:
+        ConfigError: the recording has no times, or no frame lies in the span.
+    """
+    recording.require_times()
+    cameras = {
+        name: _part(track, np.flatnonzero((track.t_ns >= from_ns) & (track.t_ns <= to_ns)))
+        for name, track in recording.cameras.items()
+    }
+    cameras = {name: track for name, track in cameras.items() if len(track.t_ns)}
+    if not cameras:
+        first_ns, last_ns = time_span(recording)
+        raise ConfigError(
+            f"{recording.path}: no frame at t_ns {from_ns} to {to_ns}; it runs from {first_ns} to {last_ns}, "
+            f"{(last_ns - first_ns) / 1e9:.3f} s"
+        )
+    return replace(recording, cameras=cameras)
+
+
+def newest(track: PictureTrack | VideoTrack, count: int) -> PictureTrack | VideoTrack:
+    """Return the last frames of a camera, `count` at most."""
+    return _part(track, np.arange(max(0, len(track.t_ns) - count), len(track.t_ns)))
+
+
+def time_span(recording: Recording) -> tuple[int, int]:
+    """Return the times of the first and of the last frame.
+
+    Raises:
+        ConfigError: the recording has no times.
+    """
+    recording.require_times()
+    if not recording.cameras:
+        raise ConfigError(f"{recording.path}: holds a depth camera alone, no camera of hands")
+    times = [track.t_ns for track in recording.cameras.values()]
+    return min(int(t_ns[0]) for t_ns in times), max(int(t_ns[-1]) for t_ns in times)
+
+
+def _part(track: Track, rows: NDArray[np.intp]) -> Track:
+    if isinstance(track, MarkerTrack):
+        return replace(
+            track, frames=track.frames[rows], t_ns=track.t_ns[rows], marker=track.marker[rows], uv=track.uv[rows]
+        )
+    if isinstance(track, PictureTrack):
+        files = tuple(track.files[row] for row in rows.tolist())
+        return replace(track, files=files, frames=track.frames[rows], t_ns=track.t_ns[rows])
+    return replace(track, frames=track.frames[rows], t_ns=track.t_ns[rows])
+
+
+# What belongs to a recording of messages: the pictures beside it, the rig folder inside it.
 
 _PART: Final = re.compile(r"-\d{3}$")
 _RIG_NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")

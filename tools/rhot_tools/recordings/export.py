@@ -15,7 +15,7 @@ from rhot.arrays import FloatArray
 from rhot.atomic_file import replacing
 from rhot.cli.options import FiniteRange
 from rhot.errors import ConfigError
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse
 from rhot.messages import Message, Side, Space
 from rhot.rig import CameraCalibration, Rig, load_rig
 from rhot.rig.folder import write_text_atomic

@@ -31,9 +31,9 @@ from rhot.recording.mcap.session import (
 from rhot.recording.mcap.writer import McapWriter, attachments_of, rig_files
 from rhot.recording.model import MOST_CAMERAS
 from rhot.recording.picture_folder import PictureFolder
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot.rig import BusConfig
-from rhot.service.rig_files import fetch_rig_files
+from rhot.service.configuration import fetch_rig_files
 from rhot.service.stop import Stop, install_stop
 from rhot.text import printable
 from rhot_tools.export.source import RecordedMessages

@@ -24,8 +24,7 @@ from rhot.recording.player import LATE_NS, REPLAY_SERVICE, PlayFigures, conflict
 from rhot.rig import BusConfig
 from rhot.service.stop import Stop, install_stop
 from rhot_tools.operate.live_rig import rig_clock, started
-from rhot_tools.recordings.replay_bus import ReplayBus, chosen_keys
-from rhot_tools.recordings.restamp import Restamp, clock_skew_ns
+from rhot_tools.recordings.restamp import ReplayBus, Restamp, chosen_keys, clock_skew_ns
 
 _CONNECT_TIMEOUT_S = 2.0
 _PAUSE_S = 5.0

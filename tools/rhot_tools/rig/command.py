@@ -28,13 +28,12 @@ from rhot.rig.folder import write_text_atomic
 from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
-from rhot_capture.sources.pictures import read_pictures
+from rhot_capture.sources.recorded import read_pictures
 from rhot_capture.timing import row_time_ns
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
 from rhot_tools.export.source import RecordedMessages
-from rhot_tools.measures.html import html_report
-from rhot_tools.measures.output import json_option, page_option, show
+from rhot_tools.measures.output import html_report, json_option, page_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 from rhot_tools.recordings.beside import pictures_beside
 from rhot_tools.rig.depth import depth_plot, depth_sections

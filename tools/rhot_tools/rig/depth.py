@@ -18,10 +18,9 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, Truth
 from rhot.report.svg import line_plot
 from rhot.rig import Rig
-from rhot.rig.quality import pair_epipolar_p95_px
+from rhot.rig.calibration import pair_epipolar_p95_px
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
-from rhot_fusion.filter.systematic import CALIBRATION_DOUBT
-from rhot_fusion.filter.tracker import CALIBRATION_PX
+from rhot_fusion.filter.systematic import CALIBRATION_DOUBT, CALIBRATION_PX
 from rhot_tools.measures.rows import Row, Section
 from rhot_tools.rig.statistics import COVERAGE, Figure, figure_row, mean, truth_row
 

@@ -18,7 +18,7 @@ from rhot_tools.export.poses import motions
 from rhot_tools.grasp.figures import GraspFigures, drift_m, grasp_figures, grasp_sections, pinch, rows_of
 from rhot_tools.grasp.pickups import as_true
 from rhot_tools.grasp.session import TIPS, GraspSession, grasp_session, poses_at
-from rhot_tools.measures.estimates import covariance_of
+from rhot_tools.measures.points import covariance_of
 from rhot_tools.measures.rows import Row, Section
 from rhot_tools.rig.heard import Heard
 from rhot_tools.rig.statistics import Figure, figure_row, truth_row

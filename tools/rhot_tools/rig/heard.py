@@ -18,7 +18,7 @@ from rhot.errors import BusError, ConfigError
 from rhot.messages import Control, HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth
 from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
-from rhot_calibration.colors.live import decoded
+from rhot_calibration.colors.learning import decoded
 from rhot_calibration.depth.fit import LEAST_ROWS
 from rhot_tools.operate.live_rig import measured_rig_clock
 from rhot_tools.rig.depth import DepthRow, calibration_px, disparities, row_at, rows_by_truth

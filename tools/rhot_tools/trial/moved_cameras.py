@@ -25,17 +25,16 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame
 from rhot.offline import marker_frames
 from rhot.recording import load_recording
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE
 from rhot.text import as_argument
-from rhot_calibration.cameras.board.boards import parse_board
+from rhot_calibration.cameras.board.grid import parse_board
 from rhot_calibration.cameras.pictures import read_views
 from rhot_calibration.cameras.solve.views import Board, ViewSet
 from rhot_tools.measures.provenance import provenance
 from rhot_tools.trial.calibration_check import AXES, CalibrationReport, CameraRotation, PairReport, judge_calibration
-from rhot_tools.trial.epipolar_residuals import Track, Tracks
-from rhot_tools.trial.marker_tracks import TrackGatherer
+from rhot_tools.trial.epipolar_residuals import Track, TrackGatherer, Tracks
 
 # What `rhot evaluate calibration` tells: for people, and as JSON.
 

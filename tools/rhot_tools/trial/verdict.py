@@ -21,12 +21,11 @@ from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel, rays_meet_ahead
 from rhot.messages import HandPose, MarkerFrame, Message, PointSet, ServiceStatus
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot.rig import Rig
 from rhot.text import printable
 from rhot_tools.trial.calibration_check import CalibrationReport, judge_calibration
-from rhot_tools.trial.epipolar_residuals import LEAST_OBSERVATIONS, Track, Tracks, pair_residuals
-from rhot_tools.trial.marker_tracks import TrackGatherer
+from rhot_tools.trial.epipolar_residuals import LEAST_OBSERVATIONS, Track, TrackGatherer, Tracks, pair_residuals
 
 Level = Literal["good", "doubtful", "not usable"]
 _LEVELS: Final = ("good", "doubtful", "not usable")

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.motion.references.views import Views, triangulated
-from rhot_tools.measures.estimates import MEASURED, ONE_VIEW, PREDICTED, Estimates
+from rhot_bench.motion.references.spline_reference import Views, triangulated
+from rhot_tools.measures.points import MEASURED, ONE_VIEW, PREDICTED, Estimates
 
 
 @dataclass(frozen=True, slots=True)

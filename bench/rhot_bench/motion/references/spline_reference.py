@@ -6,6 +6,7 @@ beat on the same tracks.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,8 +14,97 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rhot.arrays import FloatArray, IntArray
-from rhot_bench.motion.references.views import Views, triangulated
-from rhot_tools.measures.estimates import MEASURED, Estimates
+from rhot.geometry.camera import CameraModel
+from rhot.messages import MarkerFrame
+from rhot.rig import Rig
+from rhot_tools.measures.points import MEASURED, Estimates
+
+# The markers of many frames as arrays: one row per camera, marker and frame, lenses undone.
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """N observations of markers, in the order in which their frames came.
+
+    Attributes:
+        frame: (N,) number of the marker frame in the list.
+        camera: (N,) index in `cameras`.
+        marker: (N,) index in the list of marker names.
+        t_ns: (N,) mid-exposure of the marker's own row.
+        xy: (N, 2) normalised image coordinates, lens undone with the calibration that the rig states.
+        P: (C, 3, 4) maps rig coordinates to camera coordinates, per camera.
+        focal_px: (C,) mean focal length, pixels.
+        period_s: (C,) median distance of a camera's frames.
+    """
+
+    frame: IntArray
+    camera: IntArray
+    marker: IntArray
+    t_ns: IntArray
+    xy: FloatArray
+    P: FloatArray
+    focal_px: FloatArray
+    period_s: FloatArray
+
+
+def views_of(frames: Sequence[MarkerFrame], rig: Rig) -> Views:
+    """Return all observations of marker frames as the rig's own calibration reads them."""
+    models = [CameraModel.from_calibration(camera) for camera in rig.cameras.values()]
+    index = {name: number for number, name in enumerate(rig.cameras)}
+    markers = {name: number for number, name in enumerate(rig.config.markers)}
+    rows = [
+        (number, index[frame.camera], markers[name], marker.t_ns or frame.t_ns, marker.u, marker.v)
+        for number, frame in enumerate(frames)
+        for name, marker in frame.markers.items()
+    ]
+    table = np.array([row[:4] for row in rows], dtype=np.int64).reshape(-1, 4)
+    uv = np.array([row[4:] for row in rows], dtype=np.float64).reshape(-1, 2)
+    xy = np.empty_like(uv)
+    for number, model in enumerate(models):
+        mine = table[:, 1] == number
+        xy[mine] = model.undistort(uv[mine])
+    times = [np.array([frame.t_ns for frame in frames if frame.camera == name]) for name in rig.cameras]
+    return Views(
+        table[:, 0],
+        table[:, 1],
+        table[:, 2],
+        table[:, 3],
+        xy,
+        np.stack([np.column_stack([model.R_camera_rig, model.t_camera_rig]) for model in models]),
+        np.array([0.5 * (model.K[0, 0] + model.K[1, 1]) for model in models]),
+        np.array([float(np.median(np.diff(t))) * 1e-9 if len(t) > 1 else 0.0 for t in times]),
+    )
+
+
+def triangulated(xy: FloatArray, P: FloatArray) -> FloatArray:
+    """Return points (N, 3), metres, rig frame, nearest to their rays in normalised image coordinates.
+
+    Each view gives two rows (P1 − x·P3)·X = 0 and (P2 − y·P3)·X = 0, weighted by one over the depth of the round before
+    (Hartley and Sturm 1997, iterative linear least squares).
+
+    Args:
+        xy: (N, C, 2) views; NaN = not seen by that camera. Points with fewer than two views are NaN.
+        P: (C, 3, 4) rig to camera.
+    """
+    seen = np.isfinite(xy[..., 0])
+    enough = seen.sum(axis=1) >= 2
+    found = np.full((len(xy), 3), np.nan)
+    if not enough.any():
+        return found
+    rows = P[None, :, :2] - np.where(seen[..., None], xy, 0.0)[..., None] * P[None, :, 2:]
+    rows = (rows * seen[..., None, None])[enough]
+    depth = np.ones((len(rows), len(P)))
+    X = np.empty((len(rows), 3))
+    for _ in range(3):
+        A = (rows / depth[..., None, None]).reshape(len(rows), -1, 4)
+        normal = np.swapaxes(A[..., :3], 1, 2) @ A[..., :3]
+        X = np.linalg.solve(normal, -np.swapaxes(A[..., :3], 1, 2) @ A[..., 3:])[..., 0]
+        depth = np.maximum(np.einsum("cj,nj->nc", P[:, 2, :3], X) + P[:, 2, 3], 0.05)
+    found[enough] = X
+    return found
+
+
+# The offline reference: a cubic spline per camera and marker through the row times, and triangulation.
 
 _SHORTEST: Final = 4
 """A cubic needs four points; shorter tracks are left out."""

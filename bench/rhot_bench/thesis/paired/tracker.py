@@ -16,15 +16,11 @@ from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, HandFile, MarkerConfig
-from rhot_bench.thesis.paired.marker_states import MarkerStates
-from rhot_bench.thesis.paired.one_euro import OneEuroFilter, OneEuroSettings
-from rhot_bench.thesis.paired.settings import PAIRED, PairedConfig
-from rhot_bench.thesis.paired.triangulate import Geometry, Prior, Solution, Triangulation, Views
+from rhot_bench.thesis.paired.marker_states import Geometry, MarkerStates, Prior, Solution, Triangulation, Views
+from rhot_bench.thesis.paired.one_euro import PAIRED, OneEuroFilter, OneEuroSettings, PairedConfig
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.views.coherence import HandCoherence
-from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import Outcome, Sightings
-from rhot_fusion.views.tracks import LONGEST_GAP, ROWS_SHARE, Snapshot, Tracks
+from rhot_fusion.views.epipolar import LONGEST_GAP, ROWS_SHARE, EpipolarModel, Snapshot, Tracks
+from rhot_fusion.views.sightings import HandCoherence, Outcome, Sightings
 
 # The 1-euro filter as in the 2018 thesis: on each camera's view of each marker, before depth is computed.
 #

@@ -17,7 +17,7 @@ from rich.console import Console
 from rhot.atomic_file import write_atomic
 from rhot.cli.options import Finite
 from rhot.errors import CalibrationError, ConfigError
-from rhot_calibration.cameras.board.boards import (
+from rhot_calibration.cameras.board.grid import (
     DEFAULT_DICTIONARY,
     aruco_dictionary,
     charuco_board,

@@ -11,8 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray, IntArray
-from rhot_calibration.cameras.board.boards import MIN_CORNERS, aruco_dictionary, charuco_board, dictionary_names
-from rhot_calibration.cameras.board.grid import GrayImage, extra_corners, find_grid, is_blank, oriented
+from rhot_calibration.cameras.board.grid import (
+    MIN_CORNERS,
+    GrayImage,
+    aruco_dictionary,
+    charuco_board,
+    dictionary_names,
+    extra_corners,
+    find_grid,
+    is_blank,
+    oriented,
+)
 from rhot_calibration.cameras.solve.views import Board, BoardView
 
 # How sharp a picture of a board is, from the edges of its squares.

@@ -10,10 +10,15 @@ import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import cross_matrix, rotation_from_vector
-from rhot.geometry.transforms import rigid
-from rhot_calibration.cameras.bundle.lens import LENS_SIZE, project_with_derivatives
-from rhot_calibration.cameras.bundle.model import Geometry, Observations, Prior, residuals_of
+from rhot.geometry.rotations import cross_matrix, rigid, rotation_from_vector
+from rhot_calibration.cameras.bundle.lens import (
+    LENS_SIZE,
+    Geometry,
+    Observations,
+    Prior,
+    project_with_derivatives,
+    residuals_of,
+)
 from rhot_calibration.cameras.solve.views import Board, BoardView
 
 # Bundle adjustment of cameras, board places and, where asked for, the board's own shape.

@@ -8,10 +8,73 @@ from typing import Any
 
 import numpy as np
 
-from rhot import text_files
 from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
 from rhot.errors import CalibrationError
+from rhot.geometry.rotations import inverse, rigid, rotation_from_vector
+from rhot.text import parse_toml, read_text
+
+# Anipose's `calibration.toml` and Caliscope's `camera_array.toml`.
+
+
+def read_toml(file: Path) -> tuple[ForeignCamera, ...]:
+    """Return the cameras of a TOML file: tables `[cam_0]` (or under `[cameras]`) with their poses.
+
+    `rotation` (Rodrigues vector, or 3x3) and `translation` map world to camera: X_camera = R · X_world + t. A camera
+    without them has no pose. The unit of length is whatever the board was measured in.
+
+    Raises:
+        CalibrationError: malformed, incomplete, a fisheye model or a turned picture; names table and field.
+    """
+    try:
+        content = parse_toml(foreign_text(file))
+    except ValueError as error:
+        raise CalibrationError(f"{file}: not TOML: {error}") from error
+    nested = content.get("cameras")
+    tables = nested if isinstance(nested, dict) else content
+    cameras = [
+        _camera(f"{file}: [{name}]", name, table)
+        for name, table in tables.items()
+        if isinstance(table, dict) and "matrix" in table and not table.get("ignore", False)
+    ]
+    if not cameras:
+        raise CalibrationError(f"{file}: no calibrated camera in it; expected tables such as [cam_0] with matrix")
+    return tuple(cameras)
+
+
+def _camera(place: str, table_name: str, table: dict[str, Any]) -> ForeignCamera:
+    if table.get("fisheye", False):
+        refuse_fisheye(f"{place}.fisheye")
+    if table.get("rotation_count", 0):
+        raise CalibrationError(
+            f"{place}.rotation_count is {table['rotation_count']}: the pictures were turned before the calibration, "
+            "RHOT tracks in raw ones; calibrate the camera again: rhot calibrate cameras RECORDING"
+        )
+    for name in ("size", "distortions"):
+        if name not in table:
+            raise CalibrationError(f"{place}: no {name}; save the calibration again")
+    size = matrix(table["size"], (2,), f"{place}.size").tolist()
+    T_world_camera = None
+    if table.get("rotation") is not None and table.get("translation") is not None:
+        t = matrix(table["translation"], (3,), f"{place}.translation")
+        T_world_camera = inverse(rigid(_rotation(table["rotation"], f"{place}.rotation"), t))
+    return ForeignCamera(
+        place,
+        str(table.get("name", table.get("port", table_name))),
+        picture_size(size[0], size[1], f"{place}.size"),
+        intrinsics(table["matrix"], f"{place}.matrix"),
+        coefficients(table["distortions"], f"{place}.distortions"),
+        T_world_camera,
+    )
+
+
+def _rotation(value: Any, place: str) -> FloatArray:
+    if isinstance(value, list) and len(value) == 3 and not isinstance(value[0], list):
+        return rotation_from_vector(matrix(value, (3,), place))
+    return rotation(value, place)
+
+
+# One camera as another program's file describes it, checked value by value.
 
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 _ROTATION_TOLERANCE = 1e-3
@@ -130,14 +193,14 @@ def refuse_fisheye(place: str) -> None:
     )
 
 
-def read_text(file: Path) -> str:
+def foreign_text(file: Path) -> str:
     """Return the text of a file.
 
     Raises:
         CalibrationError: it cannot be read or is empty.
     """
     try:
-        text = text_files.read_text(file)
+        text = read_text(file)
     except (OSError, UnicodeDecodeError) as error:
         raise CalibrationError(f"{file}: cannot be read: {why_unread(error)}") from error
     if not text.strip():

@@ -12,22 +12,21 @@ import yaml
 
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import cross_matrix
-from rhot.geometry.transforms import inverse, rigid
+from rhot.geometry.rotations import cross_matrix, inverse, rigid
 from rhot.rig import CameraCalibration, CamerasFile
 from rhot.rig.calibration import today
 from rhot.rig.folder import write_text_atomic
 from rhot_calibration.cameras.interchange.foreign_camera import (
     ForeignCamera,
     coefficients,
+    foreign_text,
     intrinsics,
     matrix,
     picture_size,
-    read_text,
+    read_toml,
     refuse_fisheye,
     rotation,
 )
-from rhot_calibration.cameras.interchange.toml_files import read_toml
 
 # ROS `camera_info` YAML files, one per camera.
 
@@ -60,7 +59,7 @@ def read_ros(files: Sequence[Path]) -> tuple[ForeignCamera, ...]:
 def _camera(file: Path) -> tuple[ForeignCamera, FloatArray, FloatArray]:
     """Return a camera, its rotation into the rectified frame and its place there (zeros where not stated)."""
     try:
-        content = yaml.safe_load(read_text(file))
+        content = yaml.safe_load(foreign_text(file))
     except (yaml.YAMLError, RecursionError) as error:
         raise CalibrationError(f"{file}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
@@ -184,7 +183,7 @@ def _text(numbers: Mapping[str, int], matrices: Mapping[str, FloatArray]) -> str
 
 def _entries(file: Path) -> dict[str, Value]:
     """Return the numbers, strings and matrices at the top of a file."""
-    text = read_text(file)
+    text = foreign_text(file)
     entries: dict[str, Value] = {}
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
@@ -358,7 +357,7 @@ def _read(files: Sequence[Path]) -> tuple[str, tuple[ForeignCamera, ...]]:
 def _kind(file: Path) -> str:
     if file.suffix.lower() == ".toml":
         return "TOML"
-    start = read_text(file).lstrip()[:4096]
+    start = foreign_text(file).lstrip()[:4096]
     return "OpenCV" if start.startswith(("%YAML", "<?xml", "{")) or "!!opencv-matrix" in start else "ROS"
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, Literal
 
 from rich.columns import Columns
 from rich.console import Group, RenderableType
 from rich.panel import Panel
 from rich.text import Text
 
+from rhot.bus import Bus
 from rhot_calibration.cameras.live.coverage import (
     WANTED_FILL,
     WANTED_SHARED,
@@ -18,6 +19,22 @@ from rhot_calibration.cameras.live.coverage import (
     CameraCoverage,
 )
 from rhot_calibration.cameras.live.session import Progress, State
+
+# A camera's image from its running capture service.
+
+
+async def preview_of(
+    bus: Bus, camera: str, image_format: Literal["jpeg", "png"], timeout_s: float
+) -> tuple[bytes | None, str]:
+    """Return a camera's newest image, encoded, or None and the reason why there is none."""
+    replies = await bus.get(f"rhot/preview/{camera}?format={image_format}", timeout_s=timeout_s)
+    reply = next((reply for reply in replies if not reply.error), None)
+    if reply is not None:
+        return reply.payload, ""
+    return None, replies[0].error if replies else "no answer to the query for its image"
+
+
+# What somebody who holds a board sees of the session: maps of the pictures, bars, what to do next.
 
 _BAR_CELLS: Final = 10
 _WIDE_UP_TO: Final = 4

@@ -23,11 +23,10 @@ from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
 from rhot.service.stop import install_stop
 from rhot_calibration.cameras.board.detect import detect_board
-from rhot_calibration.cameras.live.display import session_display, state_line
-from rhot_calibration.cameras.live.preview import preview_of
+from rhot_calibration.cameras.live.display import preview_of, session_display, state_line
 from rhot_calibration.cameras.live.session import Session, label
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
-from rhot_calibration.keyboard import keyboard
+from rhot_calibration.writing import keyboard
 
 CONNECT_S: Final = 2.0
 _ROUND_S: Final = 0.2

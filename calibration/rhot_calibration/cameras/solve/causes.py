@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse
 from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key
 from rhot_calibration.cameras.solve.joint_fit import fit_together
-from rhot_calibration.cameras.solve.mistakes import mirrored
 from rhot_calibration.cameras.solve.placement import angle_of
+from rhot_calibration.cameras.solve.refusals import mirrored
 from rhot_calibration.cameras.solve.solve import Solution
 from rhot_calibration.cameras.solve.views import Board, ViewSet
 

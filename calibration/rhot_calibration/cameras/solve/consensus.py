@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.transforms import inverse, rigid
-from rhot_calibration.cameras.board.boards import half_turn_ambiguous
+from rhot.geometry.rotations import inverse, rigid
+from rhot_calibration.cameras.board.grid import half_turn_ambiguous
 from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key, Place, adjust_views
 from rhot_calibration.cameras.solve.placement import (
     Candidate,

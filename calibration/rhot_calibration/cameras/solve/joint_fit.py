@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Mapping
 
 from rhot.errors import CalibrationError
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse
 from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key, Place, adjust_views
 from rhot_calibration.cameras.solve.placement import pose_candidates
 from rhot_calibration.cameras.solve.views import Board, BoardView

@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import nearest_rotation, rotation_from_vector, vector_from_rotation
-from rhot.geometry.transforms import inverse, rigid
+from rhot.geometry.rotations import inverse, nearest_rotation, rigid, rotation_from_vector, vector_from_rotation
 from rhot_calibration.cameras.bundle.lens import camera_matrix
 
 Key = tuple[str, int]

@@ -10,8 +10,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, RgbColor, log_ratio
-from rhot_calibration.colors.model.fit import bhattacharyya, rgb_of
-from rhot_calibration.colors.model.samples import ClassPixels
+from rhot_calibration.colors.model.fit import ClassPixels, bhattacharyya, rgb_of
 
 PAINTS: Final[Mapping[str, RgbColor]] = {
     "titanium white": (243, 244, 240),

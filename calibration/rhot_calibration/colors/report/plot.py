@@ -10,7 +10,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray, ImageArray
 from rhot.rig.colors import ColorsFile, GaussianColor, log_ratio
-from rhot_calibration.colors.model.samples import ClassPixels
+from rhot_calibration.colors.model.fit import ClassPixels
 from rhot_calibration.colors.model.separability import CONFUSABLE, Separability
 
 INK: Final = (40, 40, 40)

@@ -14,6 +14,15 @@ from rhot.messages import BoxShape, CylinderShape, FacedShape
 from rhot_calibration.objects.touch.faces import faces_of, gaps
 from rhot_calibration.objects.touch.fit import OffsetFit, Touch, fit_offset
 
+# The faces of a shape that a finger can touch, and how far a fingertip stands off each.
+#
+# Axes are the object's own, see `rhot.messages.objects`. A box has six faces: top and bottom at +y and −y, right and
+# left at +x and −x, front and back at +z and −z. A cylinder has two ends, top and bottom at +z and −z, and a side all
+# round. A sphere is touched anywhere.
+
+
+# What touches must stand: enough of them to tell where the object is, and no face mistaken for another.
+
 LARGEST_OFF_M = 0.006
 """A touch further from its face contradicts: eight standard deviations of a fingertip, and less than half the edge of
 anything that a hand takes hold of."""

@@ -11,11 +11,16 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import FacedShape
-from rhot_calibration.objects.stillness import LEAST_COVERED, covers, forget_old, held_pose
+from rhot_calibration.objects.checks import LEAST_COVERED, covers, forget_old, held_pose
 from rhot_calibration.objects.touch.checks import LARGEST_OFF_M, face_at
 from rhot_calibration.objects.touch.faces import gaps, reach_m
 from rhot_calibration.objects.touch.fit import OffsetFit, Touch
 from rhot_objects.pose import Pose
+
+# `registration.json` with the offset that touches told.
+
+
+# Taking touches from two live streams: the fingertip and the device, when both are held still to each other.
 
 _TIP_STILL_M = 0.0015
 """Distance between the tip's mean places in the first, middle and last third. A finger that rests on something moves by

@@ -15,10 +15,10 @@ from rhot.errors import ConfigError, WireError
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_between
 from rhot.messages import Control, HandPose, ObjectPose
 from rhot.recording.mcap.reader import open_mcap
-from rhot.report.tables import figures_table
+from rhot.report.html import figures_table
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
-from rhot.service.control_link import CONTROL_KEY
+from rhot.service.control import CONTROL_KEY
 from rhot_calibration.objects.touch.checks import Judged, flesh_note, judged
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.faces import free_rotations

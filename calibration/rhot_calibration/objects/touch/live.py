@@ -13,13 +13,13 @@ from rhot.messages import HandPose, ObjectPose
 from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
-from rhot_calibration.keyboard import keyboard
 from rhot_calibration.objects.live import CONNECT_TIMEOUT_S, HINT_S, Hint, StreamWatch, check_session
 from rhot_calibration.objects.touch.checks import judged, least_touches, missing_faces
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.fit import Touch
 from rhot_calibration.objects.touch.record import R_before
 from rhot_calibration.objects.touch.streams import TouchTask, feed
+from rhot_calibration.writing import keyboard
 
 _REMEDY: Final = ", the rig started (`rhot status`, `rhot start`), and in sight what it tracks"
 

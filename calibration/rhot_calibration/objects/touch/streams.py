@@ -14,13 +14,17 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import FacedShape, HandPose, Message, ObjectPose, Side
 from rhot.object_mesh import configured_mesh
 from rhot.rig import Rig
-from rhot.rig.shape_config import MeshConfig
+from rhot.rig.marker_config import MeshConfig
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.faces import face_named, usual_faces
 from rhot_calibration.objects.touch.fit import Touch
 from rhot_objects.core import key_of
-from rhot_objects.pose import Pose
-from rhot_objects.registration import Registration
+from rhot_objects.pose import Pose, Registration
+
+# Touches on a running rig: the fingertip from `rhot/hand/<side>`, the device from `rhot/object/<id>`.
+
+
+# Messages of hand and object to the samples that a collector takes; live and from a recording alike.
 
 TOUCHES_A_FACE: Final = 4
 """One near each corner of a box's face; of a surface that goes all round, thrice as many."""

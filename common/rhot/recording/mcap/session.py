@@ -11,12 +11,11 @@ from rhot.bus import Bus, EventSubscriber
 from rhot.errors import WireError
 from rhot.messages import HeadPose, decode
 from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
-from rhot.recording.feet_tables import FeetTables
+from rhot.recording.feet_tables import SENSORS_KEY, FeetTables, SensorSamples
 from rhot.recording.mcap.gaps import Tally, peek
 from rhot.recording.mcap.wire_models import MSGPACK_ENCODING
 from rhot.recording.mcap.writer import McapWriter
 from rhot.recording.picture_folder import PictureFolder
-from rhot.recording.sensor_samples import SENSORS_KEY, SensorSamples
 
 EVERYTHING: Final = "rhot/**"
 QUEUE_LIMIT: Final = 1 << 16

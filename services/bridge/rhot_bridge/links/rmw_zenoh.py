@@ -30,7 +30,7 @@ import zenoh
 from rhot.bus.zenoh_config import plain_reason, session_config
 from rhot.errors import DeviceError
 from rhot.rig import BusConfig
-from rhot_bridge.opened import Opened
+from rhot_bridge.output import Opened
 
 logger = logging.getLogger(__name__)
 

@@ -29,7 +29,7 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS, PARENTS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import Side
-from rhot_bridge.retarget.quaternions import relative, right_product
+from rhot_bridge.retarget.vrm import relative, right_product
 from rhot_bridge.scene import Hand
 
 BONES: Final = 31

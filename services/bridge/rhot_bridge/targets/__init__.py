@@ -19,7 +19,7 @@ class Target(Protocol):
 
     @property
     def triggers(self) -> Sequence[str]:
-        """Kinds of samples that trigger a frame, by priority; see `rhot_bridge.pace`."""
+        """Kinds of samples that trigger a frame, by priority; see `rhot_bridge.newest`."""
         ...
 
     def frame(self, scene: Scene, now_ns: int) -> list[bytes]:

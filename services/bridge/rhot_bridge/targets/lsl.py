@@ -24,7 +24,7 @@ from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS
 from rhot.clock import RigClock
 from rhot.errors import ConfigError
 from rhot.rig import BridgeConfig
-from rhot_bridge.opened import Opened
+from rhot_bridge.output import Opened
 from rhot_bridge.scene import Axes, Body, Hand, Scene, Tracked
 
 # The channels of a MoCap stream.

@@ -22,8 +22,7 @@ from rhot.rig import BridgeConfig
 from rhot_bridge.links import UdpLink
 from rhot_bridge.output import PacketOutput
 from rhot_bridge.retarget.arms import body_bones
-from rhot_bridge.retarget.quaternions import faded
-from rhot_bridge.retarget.vrm import FINGER_BONES, finger_bones
+from rhot_bridge.retarget.vrm import FINGER_BONES, faded, finger_bones
 from rhot_bridge.scene import Axes, Scene
 from rhot_bridge.targets.osc import Block, Template, bundles
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot_capture.detection.blob import ContourArray
-from rhot_capture.detection.subpixel.shares import CoverageArray, Shares
+from rhot_capture.detection.subpixel.windows import CoverageArray, Shares
 
 Point = tuple[float, float]
 

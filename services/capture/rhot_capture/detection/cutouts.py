@@ -14,7 +14,7 @@ import numpy as np
 
 from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot_capture.detection.color_table import ColorTable
 
 _GAP_PX: Final = 2

@@ -14,7 +14,7 @@ import numpy as np
 
 from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_capture.detection.blob import Blob, Outsized, blobs_of
@@ -26,10 +26,9 @@ from rhot_capture.detection.hand.reach import HandAxis, HandReach, HandScale, Sk
 from rhot_capture.detection.hand.sharing import SharedPaints, spot_of
 from rhot_capture.detection.result import Decisions, Detection
 from rhot_capture.detection.score import probability
-from rhot_capture.detection.search import find_regions
-from rhot_capture.detection.subpixel.centers import find_centres
+from rhot_capture.detection.subpixel.batch import find_centres
 from rhot_capture.detection.subpixel.windows import Window
-from rhot_capture.detection.track import MarkerTrack
+from rhot_capture.detection.track import MarkerTrack, find_regions
 
 
 class MarkerDetector:

@@ -14,7 +14,7 @@ from typing import Final
 from rhot.arrays import ImageArray
 from rhot.core import Explanation, ExplanationRow, Outline, PictureExplanation, Verdict
 from rhot.errors import ConfigError
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot.recording import PictureTrack, VideoTrack
 from rhot.recording.camera_picture import jpeg_of
 from rhot.rig import MarkerConfig, Rig
@@ -25,7 +25,7 @@ from rhot_capture.detection.candidates import MIN_FILL, MIN_PLAUSIBILITY, MIN_SO
 from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.detection.result import Detection
-from rhot_capture.sources.pictures import read_pictures
+from rhot_capture.sources.recorded import read_pictures
 
 _COLUMNS: Final = (
     *("marker", "u, v, px", "area, px²", "solidity", "pixels of its colour", "colour likelihood", "at image border"),

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from rhot.arrays import FloatArray
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot_capture.detection.blob import Blob
 from rhot_capture.detection.candidates import Candidate, Refusal
 

@@ -15,13 +15,19 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot.geometry.rotations import cross_matrix
 from rhot.messages import Side
-from rhot_feet.depth.floor import FloorPlane, find_floor
-from rhot_feet.depth.points import COARSE_PX, FINE_PX, PixelRays, PointGrid
-from rhot_feet.depth.segmentation import RADIUS_M, BlobSeed, FootBlob, find_blobs
-from rhot_feet.depth.visibility import SurfaceShape, SurfaceView, sample_shape
+from rhot_feet.depth.plane import COARSE_PX, FINE_PX, FloorPlane, PixelRays, PointGrid, find_floor
+from rhot_feet.depth.segmentation import (
+    RADIUS_M,
+    BlobSeed,
+    FootBlob,
+    SurfaceShape,
+    SurfaceView,
+    find_blobs,
+    sample_shape,
+)
 from rhot_feet.frames import DepthFrame
 from rhot_feet.prediction import GATE_SIGMAS, OTHER_FOOT, FootPrediction, innovation_distance, predicted_region
 

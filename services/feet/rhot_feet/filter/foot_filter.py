@@ -28,8 +28,7 @@ from rhot_feet.filter.out_of_sequence import StateHistory
 from rhot_feet.filter.strapdown import InertialState, Strapdown
 from rhot_feet.imu.alignment.equations import Alignment
 from rhot_feet.imu.alignment.estimator import AlignmentEstimator
-from rhot_feet.imu.conversion import up_rotation
-from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
+from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples, up_rotation
 from rhot_feet.imu.track import ImuTrack
 
 # What a foot's outlier gate refused, in case the filter was wrong and not the observations.

@@ -13,8 +13,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_cosine
-from rhot_feet.imu.conversion import LONGEST_STEP_S, nearest_sample
-from rhot_feet.imu.samples import GRAVITY_M_S2
+from rhot_feet.imu.samples import GRAVITY_M_S2, LONGEST_STEP_S, nearest_sample
 from rhot_feet.imu.zero_velocity_detector import ZeroVelocity, ZeroVelocityDetector, ZeroVelocitySettings
 
 _GAP_S: Final = 0.03

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray, ImageArray
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 
 # Corners of a marker from its four edges.
 #

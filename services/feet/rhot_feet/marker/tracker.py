@@ -14,11 +14,10 @@ from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import R_FOOT_MARKER
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.covariances import squared_distance
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot.geometry.rotations import rotation_between
 from rhot.messages import Side
-from rhot_feet.depth.floor import FloorPlane
-from rhot_feet.depth.plane import DepthPlane, fit_depth_plane
+from rhot_feet.depth.plane import DepthPlane, FloorPlane, fit_depth_plane
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker.detection import MarkerDetection, MarkerFinder
 from rhot_feet.marker.orientation_track import OrientationTrack

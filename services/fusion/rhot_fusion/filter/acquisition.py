@@ -32,9 +32,7 @@ from rhot_fusion.filter.tracks import (
     TrackStatus,
 )
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.views.coherence import HandCoherence
-from rhot_fusion.views.sightings import Sightings
-from rhot_fusion.views.vectors import Vector
+from rhot_fusion.views.sightings import HandCoherence, Sightings, Vector
 
 _DEPTH_MARKERS: Final = 1
 """Markers of a hand required to estimate its depth; in a grasp the patch is often the only one."""

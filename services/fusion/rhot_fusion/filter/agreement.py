@@ -15,11 +15,10 @@ import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel, rays_meet_ahead
-from rhot.rig.quality import epipolar_limit_px
+from rhot.rig.calibration import epipolar_limit_px
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.views.epipolar import EpipolarModel
+from rhot_fusion.views.epipolar import DEPTH, LONGEST_GAP, ROWS_SHARE, EpipolarModel, Tracks
 from rhot_fusion.views.sightings import Sightings
-from rhot_fusion.views.tracks import DEPTH, LONGEST_GAP, ROWS_SHARE, Tracks
 
 _LEAST_VIEWS = 200.0
 """Pairs of views required for a verdict: five seconds of a hand at eight checks per second; see `epipolar`."""

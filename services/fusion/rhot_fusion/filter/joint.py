@@ -18,8 +18,7 @@ from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.motion import Motion, motion_of
 from rhot_fusion.filter.state import ROUND, SHARED, Innovation, State, Step, Views
-from rhot_fusion.views.sightings import Upper
-from rhot_fusion.views.vectors import Vector
+from rhot_fusion.views.sightings import Upper, Vector
 
 SCALES: Final = (0.01, 0.1, 0.5, 1.6, 5.0, 16.0)
 """Noise intensities that multiply the three strengths above: square roots of the acceleration's power spectral

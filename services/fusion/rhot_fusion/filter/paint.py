@@ -25,7 +25,7 @@ from rhot.anatomy.hand import CAP_LENGTH_M
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.visible_side import FIRST_BEND, MOST_BEND, SkinSides, VisibleArea, visible_side
-from rhot_fusion.views.vectors import Vector, vector
+from rhot_fusion.views.sightings import Vector, vector
 
 _COMPARE_S: Final = 0.1
 """Areas observed further apart in time are not compared, seconds."""

@@ -8,21 +8,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, compress
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, Rig
-from rhot.rig.quality import figure, pair_epipolar_p95_px
+from rhot.rig.calibration import pair_epipolar_p95_px
 from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.paint import Paint, PaintBefore
 from rhot_fusion.filter.smoothing.record import outcomes
 from rhot_fusion.filter.smoothing.smoother import Frame
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views, pace_squares
-from rhot_fusion.filter.systematic import Systematic
+from rhot_fusion.filter.systematic import CameraNoise, Systematic, stated_px
 from rhot_fusion.filter.tracks import (
     CALIBRATED,
     LOOSE_M,
@@ -36,15 +36,8 @@ from rhot_fusion.filter.tracks import (
     within_hand,
 )
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.views.coherence import HandCoherence
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
-from rhot_fusion.views.vectors import vector
-
-_FIRST_WEIGHT: Final = 50.0
-"""Number of observations that the initial value counts as."""
-CALIBRATION_PX: Final = 0.2
-"""Systematic error between cameras if `cameras.json` states none, pixels."""
+from rhot_fusion.views.sightings import NOTHING, NOWHERE, HandCoherence, Outcome, Sightings, vector
 
 # Paint corrections of the views in a recording, recomputed from the smoothed marker positions.
 
@@ -116,107 +109,6 @@ class PaintCorrection:
             velocity = state.mean[1].reshape(-1, 3)[views.index]
             variance += self.time_variance * pace_squares(camera, velocity, np.array(depths))
         return replace(views, xy=frame.seen_xy + shift, variance=variance)
-
-
-# Fusion by filtering: each camera frame updates all markers of a hand, each at its image row's exposure time.
-
-# Pixel noise of each camera: the stated calibration error, and an estimate from its innovations.
-#
-# Let S be the covariance of an innovation y, and r² the pixel noise in it. The log-likelihood −½ (log |S| + yᵀ S⁻¹ y)
-# has the derivative ½ (yᵀ S⁻² y − tr S⁻¹) with respect to r² and the expected curvature ½ tr S⁻². Each innovation
-# therefore contributes r² + derivative / curvature, weighted by the curvature (a scoring step): innovations that are
-# dominated by motion contribute little.
-
-_CLEAR = 9.0
-"""Squared Mahalanobis distance at which innovations are clipped, because outliers are not noise."""
-
-
-class CameraNoise:
-    """Pixel noise of C cameras.
-
-    Attributes:
-        calibration_px: (C,) systematic errors between the cameras, as stated by their calibration.
-    """
-
-    def __init__(self, cameras: Sequence[CameraModel], calibration_px: FloatArray, calibrated: bool) -> None:
-        self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
-        # Shorter baselines give no depth, or are one camera that was entered twice.
-        self._baseline_m = max(1e-3, *(math.dist(a.center, b.center) for a, b in combinations(cameras, 2)))
-        self.calibration_px = calibration_px
-        # Pixel noise of a rig without `cameras.json`, not counting errors of its time stamps.
-        # Initial standard deviation of a pixel coordinate; centroids of painted tips in photo-real pictures
-        # have errors of 0.2 to 0.3 px.
-        first = 0.3 if calibrated else 1.0
-        # Least_px, most_px: bounds of the estimated standard deviation, pixels.
-        # Lower bound of the estimate for such a rig, pixels: its coordinates are whole pixels, or its lens
-        # distortion is unknown.
-        least = 0.05 if calibrated else 0.3
-        self._bounds_px2 = least**2, 2.0**2 if calibrated else math.inf
-        # Per camera: sums of weights and of weights times r², in pixels.
-        self._weight = [0.5 * _FIRST_WEIGHT / first**4] * len(cameras)
-        self._asked = [weight * first**2 for weight in self._weight]
-
-    @property
-    def sigma_px(self) -> FloatArray:
-        """(C,) estimated standard deviation of a coordinate, pixels."""
-        return np.sqrt([self._variance_px2(camera) for camera in range(len(self._focal_px))])
-
-    def variance(self, camera: int) -> float:
-        """Return the variance of a coordinate, normalised units."""
-        systematic = float(self.calibration_px[camera])
-        return (self._variance_px2(camera) + systematic * systematic) / self._focal_px[camera] ** 2
-
-    @property
-    def pair_variance(self) -> float:
-        """Variance of the depth from two views divided by the fourth power of the distance, 1/m²."""
-        count = len(self._focal_px)
-        return 2.0 * sum(self.variance(camera) for camera in range(count)) / count / self._baseline_m**2
-
-    def _variance_px2(self, camera: int) -> float:
-        """Return the estimated variance of a coordinate, square pixels."""
-        low, high = self._bounds_px2
-        return min(max(self._asked[camera] / self._weight[camera], low), high)
-
-    def learn(self, camera: int, innovation: Innovation) -> None:
-        """Update the estimate with a frame's accepted innovations."""
-        pixels2 = self._focal_px[camera] ** 2
-        count, derivative, curvature = 0, 0.0, 0.0
-        columns = (innovation.accepted, innovation.y, innovation.S, innovation.nis)
-        for taken, (y0, y1), (a, b, c), nis in zip(*(column.tolist() for column in columns), strict=True):
-            if not taken:
-                continue
-            count += 1
-            # S⁻¹ and S⁻¹ y.
-            det = (a * c - b * b) * pixels2
-            d, e, f = c / det, -b / det, a / det
-            u0, u1 = d * y0 + e * y1, e * y0 + f * y1
-            shrink = pixels2 * min(1.0, _CLEAR / max(nis, 1e-9))
-            derivative += 0.5 * (shrink * (u0 * u0 + u1 * u1) - (d + f))
-            curvature += 0.5 * (d * d + 2.0 * e * e + f * f)
-        if not count:
-            return
-        # Number of observations after which the weight of an old observation has decayed to 37 %; about 20 s
-        # of a hand in front of one camera.
-        keep = math.exp(-count / 5000.0)
-        known = self._asked[camera] / self._weight[camera]
-        self._weight[camera] = keep * self._weight[camera] + curvature
-        self._asked[camera] = keep * self._asked[camera] + curvature * known + derivative
-
-
-def stated_px(names: Sequence[str], quality: Any) -> FloatArray:
-    """Return the systematic error (C,) of each camera relative to the others, pixels, as stated by `cameras.json`.
-
-    It is the RMS epipolar error of a camera's worst pair at the calibration, with half of its variance in either view.
-    """
-    worst = dict.fromkeys(names, 0.0)
-    for first, second in combinations(names, 2):
-        stated = [
-            figure(quality, "pairs", f"{a}-{b}", "epipolar_rms_px") for a, b in ((first, second), (second, first))
-        ]
-        known = next((value for value in stated if value is not None), CALIBRATION_PX)
-        for name in (first, second):
-            worst[name] = max(worst[name], known)
-    return np.array([worst[name] * 0.5**0.5 for name in names])
 
 
 # Fusion by filtering: each camera frame updates all markers of a hand, each at its image row's exposure time.

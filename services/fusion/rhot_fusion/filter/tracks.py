@@ -17,8 +17,7 @@ import numpy as np
 
 from rhot.messages import PointState
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.views.sightings import Outcome, Upper
-from rhot_fusion.views.vectors import Vector, unit
+from rhot_fusion.views.sightings import Outcome, Upper, Vector, unit
 
 GATE: Final = 25.0
 """Squared Mahalanobis distance (2 degrees of freedom) beyond which an observation is rejected; exceeded by chance once

@@ -29,7 +29,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.views.vectors import Vector, across, dot, interpolated, unit, vector
+from rhot_fusion.views.sightings import Vector, across, dot, interpolated, unit, vector
 
 FIRST_BEND: Final = -0.45
 """C of a relaxed finger, bent away from the camera by a quarter of a right angle or a little more."""

@@ -18,7 +18,7 @@ import numpy as np
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, PixelPoint, Position
 from rhot.rig import MarkerConfig
-from rhot_fusion.views.vectors import Vector, dot, vector
+from rhot_fusion.views.sightings import Vector, dot, vector
 
 Corners = tuple[Position, Position, Position, Position]
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -12,9 +13,91 @@ from numpy.typing import NDArray
 
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.messages import PointState
-from rhot.rig import FusionConfig
+from rhot.rig import FusionConfig, MarkerConfig
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.vectors import Vector
+
+# Gate points by their distance from the other markers of the same hand.
+
+_REACH = 1.2
+"""Largest distance of a marker from the median of its hand's markers, in hand lengths: an open hand plus noise."""
+_FEWEST = 3
+"""Tracked markers required: of two, it is unknown which one is wrong."""
+
+
+class HandCoherence:
+    """Gates a marker's point by the median of the markers of its hand.
+
+    Attributes:
+        siblings: per marker, the indices of the others of its hand.
+        company: (M, M) the same as a matrix: 1 = same hand, 0 = other hand or the marker itself.
+    """
+
+    def __init__(self, markers: Mapping[str, MarkerConfig], hand_length_m: float) -> None:
+        sides = np.array([marker.hand for marker in markers.values()])
+        self._hands: list[IndexArray] = [np.flatnonzero(sides == side) for side in np.unique(sides)]
+        self._hand_of: IndexArray = np.searchsorted(np.unique(sides), sides)
+        self.siblings: list[IndexArray] = [
+            np.flatnonzero((sides == side) & (np.arange(len(sides)) != index)) for index, side in enumerate(sides)
+        ]
+        self.company: FloatArray = (sides[:, None] == sides[None]) * (1.0 - np.eye(len(sides)))
+        self._reach_m = _REACH * hand_length_m
+
+    def near(self, index: IndexArray, position: FloatArray, known: FloatArray, tracked: BoolArray) -> BoolArray:
+        """Return which points (K, 3) of markers (K,) are near the median of their hand's known positions (M, 3).
+
+        All pass where fewer than three markers (M,) of a hand are tracked. Metres, rig frame.
+        """
+        middles = np.full((len(self._hands), 3), np.nan)
+        for hand, members in enumerate(self._hands):
+            present = members[tracked[members]]
+            if len(present) >= _FEWEST:
+                # The lower median, because np.median would cost more than the rest of this function.
+                middles[hand] = np.sort(known[present], axis=0)[(len(present) - 1) // 2]
+        away = position - middles[self._hand_of[index]]
+        far: BoolArray = (away * away).sum(axis=1) > self._reach_m**2
+        return ~far
+
+
+# Data types of the trackers: marker observations of one frame, and markers in space.
+
+# Vector algebra on plain floats, for arrays too small for numpy to be faster.
+
+Vector = tuple[float, float, float]
+
+
+def vector(values: NDArray[np.float64]) -> Vector:
+    """Return an array (3,) as a tuple."""
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def dot(a: Vector, b: Vector) -> float:
+    """Return a·b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def across(a: Vector, unit: Vector) -> Vector:
+    """Return the component of a vector perpendicular to a unit vector."""
+    along = dot(a, unit)
+    return a[0] - along * unit[0], a[1] - along * unit[1], a[2] - along * unit[2]
+
+
+def unit(a: Vector) -> Vector:
+    """Return the unit vector in the direction of a; shorter if a is shorter than 1e-6."""
+    scale = 1.0 / max(math.sqrt(dot(a, a)), 1e-6)
+    return scale * a[0], scale * a[1], scale * a[2]
+
+
+def interpolated(x: float, known: Sequence[float], values: Sequence[float]) -> float:
+    """Return the linear interpolation at x of values at ascending `known`, constant beyond both ends: np.interp."""
+    after = bisect_right(known, x)
+    if after in (0, len(known)):
+        return values[max(after - 1, 0)]
+    share = (x - known[after - 1]) / (known[after] - known[after - 1])
+    return values[after - 1] + share * (values[after] - values[after - 1])
+
+
+# Data types of the trackers: marker observations of one frame, and markers in space.
 
 CountArray = NDArray[np.int64]
 Upper = tuple[float, float, float, float, float, float]

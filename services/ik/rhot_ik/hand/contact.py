@@ -9,8 +9,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.hull import plane_distance
-from rhot.geometry.rotations import rotation_from_quaternion
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_from_quaternion
 from rhot.messages import BoxShape, CylinderShape, MeshShape, ObjectPose, ObjectShape
 
 

@@ -18,9 +18,8 @@ from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot_ik.hand.contact import Shape, shape_of
 from rhot_ik.hand.filter.evidence import HandObservation
-from rhot_ik.hand.filter.prior import angle_covariance, rest_angles
-from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION
-from rhot_ik.hand.fingers.geometry import FingerGeometry, base_marker
+from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION, angle_covariance, rest_angles
+from rhot_ik.hand.fingers.closed_form import FingerGeometry, base_marker
 from rhot_ik.hand.fit_check import MISFIT_M, FitCheck, mean_residual_m, reflected_point
 from rhot_ik.hand.solver import HandSolver
 from rhot_ik.hand.track import HandSolution, HandTrack

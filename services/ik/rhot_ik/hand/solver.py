@@ -21,7 +21,7 @@ from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.process import ERROR_LASTS_S, HandState
 from rhot_ik.hand.filter.smoother import smoothed_states
-from rhot_ik.hand.fingers.geometry import FingerGeometry, marker_on_palm
+from rhot_ik.hand.fingers.closed_form import FingerGeometry, marker_on_palm
 from rhot_ik.hand.track import HandSolution, HandTrack
 
 _SETTLES_S: Final = 0.025

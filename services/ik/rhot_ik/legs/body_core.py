@@ -11,8 +11,7 @@ import numpy as np
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import FloatArray
 from rhot.core import Output
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import quaternion_from_rotation, rigid, rotation_from_quaternion
 from rhot.messages import (
     BodyJoint,
     BodyPose,
@@ -28,8 +27,7 @@ from rhot.messages import (
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import Rig
 from rhot_ik.legs.foot_track import LEAD_S, FootTrack, HipMotion
-from rhot_ik.legs.hips import OUTWARDS, hip_joint, hips_under_head, stride, within_reach
-from rhot_ik.legs.leg import Ankle, LegPose, bend_leg
+from rhot_ik.legs.hips import OUTWARDS, Ankle, LegPose, bend_leg, hip_joint, hips_under_head, stride, within_reach
 from rhot_ik.trunk.upper_body import solve_upper_body
 
 # How long a person really is from the neck to the ankles: learned from standing.

@@ -23,14 +23,14 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import (
     orthonormal,
+    rigid,
     rotation_between,
     rotation_from_quaternion,
     rotation_from_vector,
     shortest_rotation,
 )
-from rhot.geometry.transforms import rigid
 from rhot.messages import FootPose, State
-from rhot_ik.legs.leg import Ankle
+from rhot_ik.legs.hips import Ankle
 
 _RATE: Final = 5.0
 """Ω, 1/s, and ζ of the pendulum."""

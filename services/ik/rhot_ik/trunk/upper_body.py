@@ -10,11 +10,9 @@ import numpy as np
 
 from rhot.anatomy.body_proportions import SPINE_SHARES, BodyModel
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import rotation_y, shortest_rotation
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import rigid, rotation_y, shortest_rotation
 from rhot.messages import Side
-from rhot_ik.legs.hips import OUTWARDS
-from rhot_ik.legs.leg import bend_leg
+from rhot_ik.legs.hips import OUTWARDS, bend_leg
 
 # The spine between hips and neck, as a chain of three bones.
 #

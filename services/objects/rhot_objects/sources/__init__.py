@@ -1,6 +1,6 @@
 """The interface between the objects service and a tracking system.
 
-A source returns poses in the *tracker's space*; `rhot_objects.registration` transforms them to the rig frame.
+A source returns poses in the *tracker's space*; `rhot_objects.pose` transforms them to the rig frame.
 
 `open` and `read` may block briefly and are called from one thread at a time; `close` may be called from another thread
 during a `read`, because a thread cannot be cancelled.

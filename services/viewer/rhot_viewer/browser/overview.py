@@ -11,7 +11,7 @@ from typing import Final
 
 from rhot.messages import FootPose, HandPose, ServiceStatus
 from rhot_viewer.browser.sentence import sentence_html
-from rhot_viewer.rig.history import latency_ms, lost, rate_hz
+from rhot_viewer.rig.inbox import latency_ms, lost, rate_hz
 
 _KEPT: Final = 12
 _MOST_SAID: Final = 256

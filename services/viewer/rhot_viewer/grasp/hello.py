@@ -11,8 +11,7 @@ import numpy as np
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import quaternion_from_rotation
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import quaternion_from_rotation, rigid
 from rhot.messages import Side
 from rhot.object_mesh import ObjectMesh, known_mesh
 from rhot.rig import Rig

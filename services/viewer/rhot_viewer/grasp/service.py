@@ -23,8 +23,8 @@ from rhot.rig.folder import HAND_FILE, REGISTRATION_FILE, RIG_FILE, STAGE_FILE, 
 from rhot.rig.kept_file import file_stamp
 from rhot.service import Node
 from rhot_viewer.browser.access import Access, Role
+from rhot_viewer.browser.camera_layer import marker_colors
 from rhot_viewer.browser.guard import Guard
-from rhot_viewer.browser.marker_colors import marker_colors
 from rhot_viewer.grasp.hello import hello_text
 from rhot_viewer.grasp.newest import Newest
 from rhot_viewer.grasp.server import Browser, GraspServer

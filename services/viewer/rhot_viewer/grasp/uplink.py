@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 
 from rhot.arrays import FloatArray
 from rhot.errors import WireError
-from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
-from rhot.geometry.transforms import rigid
+from rhot.geometry.rotations import quaternion_from_rotation, rigid, rotation_from_quaternion
 from rhot.messages import HeadPose, ObjectPose, ObjectShape, first_problem
 from rhot.messages.base import Position, Quaternion, unit_quaternion, wire_position, wire_quaternion
 

@@ -13,8 +13,7 @@ import viser
 from rhot.messages import ServiceStatus
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.sentence import sentence_html
-from rhot_viewer.rig.camera_sliders import CameraSlider, camera_sliders
-from rhot_viewer.rig.capture_settings import CaptureSettings
+from rhot_viewer.rig.capture_settings import CameraSlider, CaptureSettings, camera_sliders
 from rhot_viewer.rig.inbox import Inbox
 
 # The bounds of one marker's colour as three sliders with two ends each, and back.

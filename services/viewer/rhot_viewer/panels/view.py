@@ -2,13 +2,194 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
-from typing import Any, Final
+from html import escape
+from pathlib import Path
+from typing import Any, Final, Protocol
 
+import numpy as np
 import viser
+from viser import uplot
 
+from rhot.errors import RhotError
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
+from rhot_viewer.browser.sentence import sentence_html
+from rhot_viewer.rig.inbox import SECONDS, Chart, History
+from rhot_viewer.rig.live_recording import LiveRecording, explain
+
+# The tab that records the running rig and explains a moment of the last recording.
+
+_TEXT: Final = "<div style='padding:0.2em 0.8em;font-size:0.9em;overflow-wrap:anywhere;color:{color}'>{text}</div>"
+_BAD: Final = "#ff6b6b"
+_HELP: Final = (
+    "Everything that the rig publishes, without its pictures; `rhot replay` plays it back, `rhot export` makes tables "
+    "and animations of it."
+)
+
+
+class RecordPanel:
+    """A button to start and stop, what is being written, and a button that explains."""
+
+    title = "Record"
+
+    def __init__(self, page: Page, recording: LiveRecording, rig_path: Path) -> None:
+        self._page = page
+        self._recording = recording
+        self._rig_path = rig_path
+        self._asked: asyncio.Queue[tuple[Path, str]] = asyncio.Queue()
+        self._explained = ""
+
+    def build(self, gui: viser.GuiApi) -> None:
+        """Add the elements."""
+        gui.add_html(_TEXT.format(color="inherit", text=sentence_html(_HELP)))
+        where = f"Below {self._recording.folder.resolve()} on the machine that runs this page; may be empty."
+        self._folder = gui.add_text("folder", "", hint=where)
+        self._start = gui.add_button("start recording", icon=viser.Icon.PLAYER_RECORD)
+        self._start.on_click(self._page.on_loop(lambda _: self._recording.start(self._folder.value)))
+        self._stop = gui.add_button("stop recording", icon=viser.Icon.PLAYER_STOP, disabled=True)
+        self._stop.on_click(self._page.on_loop(lambda _: self._recording.stop()))
+        self._state = gui.add_html("")
+        with gui.add_folder("Explain a moment of the last recording"):
+            self._at = gui.add_text("at, s", "1", hint="Seconds after the first picture of the recording.")
+            self._explain = gui.add_button("explain", disabled=True)
+            self._explain.on_click(self._page.on_loop(self._ask))
+            self._note = gui.add_html("")
+
+    def update(self) -> None:
+        """Show what is written."""
+        recording = self._recording
+        self._start.disabled = recording.running
+        self._stop.disabled = not recording.running
+        self._explain.disabled = recording.running or recording.file is None
+        self._state.content = _state_html(recording)
+        self._note.content = self._explained
+
+    async def run(self) -> None:
+        """Explain what is asked for, until cancelled."""
+        while True:
+            file, at = await self._asked.get()
+            self._explained = _TEXT.format(color="inherit", text="tracking the seconds before …")
+            try:
+                page = await explain(file, at, self._rig_path)
+            except RhotError as error:
+                self._explained = _TEXT.format(color=_BAD, text=sentence_html(str(error)))
+            else:
+                text = f"Written, to open in a browser or to attach to a report: {page.resolve()}"
+                self._explained = _TEXT.format(color="inherit", text=escape(text))
+
+    def _ask(self, _: viser.GuiEvent[Any]) -> None:
+        if self._recording.file is not None and not self._recording.running:
+            self._asked.put_nowait((self._recording.file, self._at.value.strip()))
+
+
+def _state_html(recording: LiveRecording) -> str:
+    said = []
+    if recording.problem:
+        said.append(_TEXT.format(color=_BAD, text=sentence_html(recording.problem)))
+    if recording.file is not None:
+        figures = (
+            f"{recording.file.resolve()}: {recording.seconds:.0f} s, {recording.megabytes:.1f} MB, "
+            f"{recording.tally.messages} messages, {recording.rate_hz:.0f} a second, {recording.tally.lost} lost"
+        )
+        said.append(_TEXT.format(color="#69db7c" if recording.running else "inherit", text=escape(figures)))
+    return "".join(said)
+
+
+# Where to look from, and what to show.
+
+# The last two minutes: rate, latency, losses and error, a line per service.
+
+_CHARTS: Final = {
+    "rate": "messages per second",
+    "latency": "latency p99, ms",
+    "lost": "lost per second (late, missed, invalid, overwritten)",
+    "error": "error, mm",
+}
+_COLORS: Final = ("#4dabf7", "#ffa94d", "#69db7c", "#f783ac", "#b197fc", "#ffe066", "#63e6be", "#ff8787", "#ced4da")
+_AXIS: Final = uplot.Axis(stroke="#adb5bd", grid={"stroke": "#373a40"}, ticks={"stroke": "#373a40"})
+_NOTHING: Final = "nothing yet"
+
+
+class TimelinePanel:
+    """Four charts."""
+
+    title = "Timeline"
+
+    def __init__(self, history: History) -> None:
+        self._history = history
+        self._plots: dict[str, viser.GuiUplotHandle] = {}
+        self._drawn: dict[str, tuple[str, ...]] = {}
+        self._colors: dict[str, str] = {}
+
+    def build(self, gui: viser.GuiApi) -> None:
+        """Add the charts, empty."""
+        for kind, title in _CHARTS.items():
+            data, names = self._data(self._history.chart(kind))
+            self._drawn[kind] = names
+            height_px = 190
+            self._plots[kind] = gui.add_uplot(
+                data,
+                self._series(names),
+                title=title,
+                height=height_px,
+                axes=(_AXIS, _AXIS),
+                scales={"x": uplot.Scale(time=False, range=(-float(SECONDS), 0.0))},
+                legend=uplot.Legend(show=True, live=False),
+            )
+
+    def update(self) -> None:
+        """Draw what has been added."""
+        for kind, plot in self._plots.items():
+            data, names = self._data(self._history.chart(kind))
+            if names != self._drawn[kind]:
+                self._drawn[kind] = names
+                plot.series = self._series(names)
+            plot.data = data
+
+    def _data(
+        self, chart: Chart
+    ) -> tuple[tuple[np.ndarray[tuple[int, ...], np.dtype[np.float64]], ...], tuple[str, ...]]:
+        rows = chart.rows or {_NOTHING: np.zeros(len(chart.x_s))}
+        return (chart.x_s, *rows.values()), tuple(rows)
+
+    def _series(self, names: tuple[str, ...]) -> tuple[uplot.Series, ...]:
+        for name in names:
+            self._colors.setdefault(name, _COLORS[len(self._colors) % len(_COLORS)])
+        lines = [
+            uplot.Series(label=name, stroke=self._colors[name], width=1.5, points={"show": False}) for name in names
+        ]
+        return (uplot.Series(label="s"), *lines)
+
+
+# Where to look from, and what to show.
+
+# What a tab of the page's panel is.
+
+
+class Panel(Protocol):
+    """One tab; made once, for all browsers.
+
+    viser calls back on threads of its own: a panel wraps its callbacks in `Page.on_loop`, so that everything of ours
+    runs on one event loop.
+    """
+
+    @property
+    def title(self) -> str:
+        """Label of the tab, one word."""
+        ...
+
+    def build(self, gui: viser.GuiApi) -> None:
+        """Add the tab's elements; called inside the tab."""
+        ...
+
+    def update(self) -> None:
+        """Bring the elements up to date; called four times a second while a browser is connected."""
+        ...
+
+
+# Where to look from, and what to show.
 
 _SWITCHES: Final = {
     "ghost": ("truth as a ghost", "In simulation: where the hand truly is at this moment."),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import R_FOOT_MARKER, marker_corners_m
 from rhot.messages import Side
-from rhot_sim.walker.pictures.solids import CARD_SHARE, SHIRT, SHOE, TROUSERS, Cone, Limbs
+from rhot_sim.walker.pictures.depth import CARD_SHARE, SHIRT, SHOE, TROUSERS, Cone, Limbs
 from rhot_sim.walker.pictures.textures import CELL_PX, FLOOR_M, FLOOR_PX_PER_M, card_texture, floor_texture
 
 Image = NDArray[np.uint8]

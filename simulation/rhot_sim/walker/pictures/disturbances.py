@@ -10,7 +10,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.messages import Side
-from rhot_sim.walker.plan import SIDES
+from rhot_sim.walker.foot_path import SIDES
 from rhot_sim.world.script import seeded
 
 _STREAM: Final = 41

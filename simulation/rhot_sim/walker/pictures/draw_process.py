@@ -1,6 +1,6 @@
 """Drawing the simulated person's pictures in a process of its own, as a real camera exposes without our processor.
 
-The child (see `rhot_sim.rendering.picture_child`) reads numbers of frames and writes time, colour and depth of each.
+The child (see `rhot_sim.rendering.render_process`) reads numbers of frames and writes time, colour and depth of each.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rhot.errors import DeviceError
 from rhot.rig import Rig, load_rig
 from rhot_feet.frames import ColorImage, DepthImage
-from rhot_sim.rendering.picture_child import end, keep_out_of_the_way
+from rhot_sim.rendering.render_process import end, keep_out_of_the_way
 from rhot_sim.walker.pictures.camera import FrameTiming
 from rhot_sim.walker.world import WalkerWorld
 

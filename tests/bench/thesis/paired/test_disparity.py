@@ -11,8 +11,8 @@ from marker_streams import Motion, models, truth_figures, watch
 
 from rhot.errors import ConfigError
 from rhot.rig import Rig
+from rhot_bench.thesis.paired.marker_states import Prior, Views
 from rhot_bench.thesis.paired.tracker import DisparityLaw, depth_from_disparity, disparity_from_depth
-from rhot_bench.thesis.paired.triangulate import Prior, Views
 from rhot_fusion.core import FusionCore
 
 LAW = (4543.3, -1.035)

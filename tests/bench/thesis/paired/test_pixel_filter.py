@@ -10,7 +10,7 @@ from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, tru
 
 from rhot.messages import PointSet
 from rhot.rig import FusionConfig, Rig
-from rhot_bench.thesis.paired.settings import PairedConfig
+from rhot_bench.thesis.paired.one_euro import PairedConfig
 from rhot_bench.thesis.paired.tracker import PixelFilters
 from rhot_fusion.core import FusionCore
 

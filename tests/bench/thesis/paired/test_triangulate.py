@@ -7,7 +7,7 @@ from marker_streams import pinhole_cameras
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot_bench.thesis.paired.triangulate import Prior, Triangulation, Views
+from rhot_bench.thesis.paired.marker_states import Prior, Triangulation, Views
 
 DISTORTION = np.array([0.19, -0.48, 0.001, -0.0007, 0.30])
 SIGMA = 1e-3

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from rhot.errors import CalibrationError
-from rhot_calibration.cameras.board.boards import charuco_board, half_turn_ambiguous, parse_board
+from rhot_calibration.cameras.board.grid import charuco_board, half_turn_ambiguous, parse_board
 from rhot_calibration.cameras.solve.views import Board
 
 

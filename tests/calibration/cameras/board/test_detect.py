@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from boards.pictures import board_picture
 
-from rhot_calibration.cameras.board.boards import parse_board
 from rhot_calibration.cameras.board.detect import detect_board, looks_mirrored, wrong_count_hint
-from rhot_calibration.cameras.board.grid import GrayImage
+from rhot_calibration.cameras.board.grid import GrayImage, parse_board
 from rhot_calibration.cameras.solve.views import Board
 
 CHESSBOARD = parse_board("9x6", 0.025)

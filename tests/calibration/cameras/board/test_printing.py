@@ -10,10 +10,10 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 
 from rhot.errors import CalibrationError, ConfigError
-from rhot_calibration.cameras.board.boards import parse_board
 from rhot_calibration.cameras.board.command import Rectangle, Sheet, Text, board_sheet, svg_text, write_sheet
 from rhot_calibration.cameras.board.command import board as command
 from rhot_calibration.cameras.board.detect import detect_board
+from rhot_calibration.cameras.board.grid import parse_board
 from rhot_calibration.cameras.solve.views import Board
 
 PX_PER_MM = 5

@@ -11,14 +11,13 @@ from boards.views import CAMERAS, SimulatedViews, nominal_lens, simulated_views
 
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.rotations import vector_from_rotation
-from rhot.geometry.transforms import inverse
+from rhot.geometry.rotations import inverse, vector_from_rotation
 from rhot.rig.calibration import CameraCalibration
 from rhot.rig.config import CameraConfig
 from rhot.rig.folder import nominal_camera
 from rhot_calibration.cameras.calibration import Calibrated, bow_mm, calibrate, cameras_file
 from rhot_calibration.cameras.refusals import Expected
-from rhot_calibration.cameras.solve.mistakes import mirrored
+from rhot_calibration.cameras.solve.refusals import mirrored
 from rhot_calibration.cameras.solve.solve import Solution, solve
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 

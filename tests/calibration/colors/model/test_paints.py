@@ -7,8 +7,8 @@ import pytest
 
 from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, RgbColor
 from rhot_calibration.colors.calibration import calibrate
+from rhot_calibration.colors.model.fit import ClassPixels
 from rhot_calibration.colors.model.paints import PAINTS, Illumination, estimate_illumination, suggest
-from rhot_calibration.colors.model.samples import ClassPixels
 
 NONE = np.empty((0, 3))
 WHITE = Illumination((1.0, 1.0, 1.0), 1.0, "test")

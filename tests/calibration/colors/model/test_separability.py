@@ -14,7 +14,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.rig import CameraConfig, HandFile, MarkerConfig
 from rhot.rig.config import SimConfig
 from rhot_calibration.colors.calibration import calibrate
-from rhot_calibration.colors.model.samples import drawn, in_other_light
+from rhot_calibration.colors.model.fit import drawn, in_other_light
 from rhot_calibration.colors.model.separability import Separability, labels_of
 from rhot_calibration.colors.picking.picks import Box
 from rhot_capture.detection.color_table import ColorTable, build_color_table

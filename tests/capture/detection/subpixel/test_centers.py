@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rhot_capture.detection.blob import PADDING_PX
-from rhot_capture.detection.subpixel.centers import find_centres
+from rhot_capture.detection.subpixel.batch import find_centres
 from rhot_capture.detection.subpixel.windows import Centre, Window
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_capture.detection.subpixel.shares import Shares
+from rhot_capture.detection.subpixel.windows import Shares
 
 
 @pytest.mark.parametrize(("scale", "left", "top"), [(1, 0, 0), (2, 0, 0), (2, 1, 1)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rhot_bench.speed.cores import plain_levels, plain_projections
-from rhot_capture.detection.subpixel.unmixing import fitted_levels, projections
+from rhot_capture.detection.subpixel.windows import fitted_levels, projections
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -11,8 +11,7 @@ from rhot.geometry.rotations import (
     rotation_from_vector,
 )
 from rhot_feet.imu.alignment.estimator import AlignmentEstimator
-from rhot_feet.imu.conversion import FusedImuConverter, up_rotation
-from rhot_feet.imu.samples import ImuSamples
+from rhot_feet.imu.samples import FusedImuConverter, ImuSamples, up_rotation
 
 SIGMA_M = 0.003
 

@@ -13,9 +13,8 @@ from rhot.rig import HandFile
 from rhot_ik.hand.contact import Sphere
 from rhot_ik.hand.filter.evidence import CornerNoise, Evidence
 from rhot_ik.hand.filter.filter import HandFilter
-from rhot_ik.hand.filter.prior import angle_covariance, closed_angles, hidden_angles, rest_angles
-from rhot_ik.hand.filter.process import ANGLES, HandState
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.filter.process import ANGLES, HandState, angle_covariance, closed_angles, hidden_angles, rest_angles
+from rhot_ik.hand.fingers.closed_form import FingerGeometry
 
 KNOWN = np.zeros(6, dtype=np.bool_)
 BASE_OFFSET = np.array([0.0, 0.014, -0.025])

@@ -10,8 +10,8 @@ from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.rig import HandFile, IkConfig, MarkerConfig
 from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
-from rhot_ik.hand.filter.prior import closed_angles, rest_angles
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.filter.process import closed_angles, rest_angles
+from rhot_ik.hand.fingers.closed_form import FingerGeometry
 from rhot_ik.hand.solver import HandInitialiser, HandSolver
 
 P_TRUE = np.array([0.02, 0.05, 0.8])

@@ -9,7 +9,7 @@ from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vect
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
 from rhot_ik.hand.filter.kinematics import HandKinematics
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.fingers.closed_form import FingerGeometry
 
 
 def geometry_of(side: Side) -> FingerGeometry:

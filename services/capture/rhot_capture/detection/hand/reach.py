@@ -17,14 +17,13 @@ import cv2
 import numpy as np
 
 from rhot.arrays import ImageArray
-from rhot.geometry.region import Region
+from rhot.geometry.hull import Region
 from rhot.rig.config import MarkerConfig
 from rhot.rig.marker_config import unshared_paints
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Refusal, track_plausibility, without
 from rhot_capture.detection.color_table import ColorTable, pack
-from rhot_capture.detection.search import find_regions
 from rhot_capture.detection.subpixel.batch import skin_ring
-from rhot_capture.detection.track import MarkerTrack
+from rhot_capture.detection.track import MarkerTrack, find_regions
 
 # Whether a blob adjoins skin, as painted fingertips do; rejects objects of a paint's colour apart from the hand.
 #

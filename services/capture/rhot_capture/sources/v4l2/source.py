@@ -18,11 +18,17 @@ import numpy as np
 
 from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.rig.config import CameraConfig
-from rhot.rig.picture_config import PICTURE_NEUTRAL
+from rhot.rig.marker_config import PICTURE_NEUTRAL
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
-from rhot_capture.sources.v4l2.controls import DriverControls
-from rhot_capture.sources.v4l2.picture import IDENTIFIERS, UNUSABLE, VIDIOC_QUERYCTRL, ControlRange, V4l2QueryControl
+from rhot_capture.sources.v4l2.controls import (
+    IDENTIFIERS,
+    UNUSABLE,
+    VIDIOC_QUERYCTRL,
+    ControlRange,
+    DriverControls,
+    V4l2QueryControl,
+)
 
 # V4L2 queries that OpenCV does not offer: meaning of a frame's timestamp, frame number, range of a control.
 #

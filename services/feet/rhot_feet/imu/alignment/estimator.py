@@ -31,8 +31,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot_feet.imu.alignment.equations import PRIOR, UNKNOWNS, Alignment, AlignmentEquations
-from rhot_feet.imu.conversion import LONGEST_STEP_S, nearest_sample
-from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
+from rhot_feet.imu.samples import GRAVITY_M_S2, LONGEST_STEP_S, ImuSamples, nearest_sample
 
 _STRETCH_NS: Final = 500_000_000
 """Length of a stretch, and fewest positions in it."""

@@ -19,8 +19,7 @@ from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
 from rhot.errors import ConfigError
 from rhot.recording.feet_tables import SENSOR_HEADER, read_table
-from rhot_feet.imu.conversion import FusedImuConverter, RawImuConverter
-from rhot_feet.imu.samples import GRAVITY_M_S2, ImuSamples
+from rhot_feet.imu.samples import GRAVITY_M_S2, FusedImuConverter, ImuSamples, RawImuConverter
 
 _FUSED: Final = ("t", "qw", "qx", "qy", "qz", "lax", "lay", "laz")
 _RAW: Final = ("t", "ax", "ay", "az", "gx", "gy", "gz")

@@ -17,8 +17,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.errors import DeviceError
 from rhot.rig.feet_config import ImuConfig
-from rhot_feet.imu.conversion import LONGEST_STEP_S, FusedImuConverter, RawImuConverter
-from rhot_feet.imu.samples import ImuSamples
+from rhot_feet.imu.samples import LONGEST_STEP_S, FusedImuConverter, ImuSamples, RawImuConverter
 
 # The clock of a sensor on a wire, mapped to the rig clock.
 #

@@ -29,11 +29,11 @@ from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_f
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, Rows, mean_residual_m, measurement_rows
 from rhot_ik.hand.filter.kinematics import HandKinematics
-from rhot_ik.hand.filter.prior import COUNT
 from rhot_ik.hand.filter.process import (
     ANGLES,
     ANGULAR_VELOCITY,
     BASE_SHIFT,
+    COUNT,
     ERROR_LASTS_S,
     LONGER,
     PATCH_TILT,
@@ -45,8 +45,7 @@ from rhot_ik.hand.filter.process import (
     HandProcess,
     HandState,
 )
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers
-from rhot_ik.hand.fingers.geometry import FingerGeometry
+from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
 
 _MOST_ACTIVITY: Final = 30.0
 """Fingers that move faster than they usually do get up to this many times their diffusion. A finger turns at most at
