@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rhot.anatomy.markers import own_paints
 from rhot.messages import MarkerFrame
 from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.colors import nominal_colors
-from rhot.rig.marker_config import own_paints
 from rhot_bench.speed.scaling import bare_rig
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking import two_hands as command

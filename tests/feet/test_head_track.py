@@ -4,7 +4,7 @@ import numpy as np
 
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vector, vector_from_rotation
 from rhot.messages import HeadPose
-from rhot_feet.frames import HeadTrack
+from rhot_feet.head_track import HeadTrack
 
 START_NS = 1_700_000_000_000_000_000
 RATE = np.array([0.0, 1.0, 0.0])

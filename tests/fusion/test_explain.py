@@ -10,7 +10,7 @@ from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.template import rig_template
 from rhot_bench.speed.simulated import projected_frames, world_of
 from rhot_fusion.core import FusionCore
-from rhot_ik.hand.core import HandCore
+from rhot_ik.hand_core import HandCore
 from rhot_sim.rig.calibration import simulated_rig_calibration
 
 

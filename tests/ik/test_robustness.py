@@ -17,10 +17,10 @@ from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vect
 from rhot.messages import HandPose, Point, PointSet, State
 from rhot.rig import CameraConfig, HandFile, MarkerConfig, Rig, RigConfig
 from rhot.rig.folder import NO_REGISTRATION
-from rhot_ik.hand.core import HandCore
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.solver import HandSolver
 from rhot_ik.hand.track import HandSolution
+from rhot_ik.hand_core import HandCore
 
 MakePoints = Callable[..., PointSet]
 Wrist = Callable[..., FloatArray]

@@ -14,6 +14,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Side
 from rhot.rig import CameraConfig, HandFile, MarkerConfig
+from rhot.rig.cameras import camera_models
 from rhot.rig.config import SimConfig
 from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig.calibration import simulated_rig_calibration
@@ -45,7 +46,7 @@ def hands() -> dict[Side, HandModel]:
 def cameras() -> dict[str, CameraModel]:
     configs = {name: CameraConfig(source="simulated") for name in ("left", "right")}
     truth = simulated_rig_calibration(configs, seed=1).truth.cameras
-    return {name: CameraModel.from_calibration(camera) for name, camera in truth.items()}
+    return camera_models(truth)
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame, PointSet
 from rhot.recording import MarkerTrack, load_recording, marker_track_frames
 from rhot.rig import CameraCalibration, CamerasFile, Rig, load_rig, write_json_model
+from rhot.rig.cameras import camera_model
 from rhot_fusion.core import FusionCore
 
 SQUARE_M = 0.0259
@@ -203,7 +204,7 @@ def pinhole_cameras(count: int, distortion: FloatArray | None = None) -> dict[st
 
 
 def models(rig: Rig) -> list[CameraModel]:
-    return [CameraModel.from_calibration(camera) for camera in rig.cameras.values()]
+    return [camera_model(camera) for camera in rig.cameras.values()]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rigid, rotation_from_vector
 from rhot.rig.calibration import CameraCalibration, matrix4
+from rhot.rig.cameras import camera_model
 from rhot_viewer.scene.viewpoint import PICTURE_DISTANCE_M, PicturePlane
 
 T = rigid(rotation_from_vector(np.array([0.2, -0.3, 0.5])), np.array([0.3, -0.1, 0.2]))
@@ -18,7 +18,7 @@ PLANE = PicturePlane.of(CAMERA)
 
 
 def test_a_ray_meets_the_pixel_that_the_camera_sees() -> None:
-    model = CameraModel.from_calibration(CAMERA)
+    model = camera_model(CAMERA)
     rng = np.random.default_rng(4)
     pixels = rng.uniform((0.0, 0.0), (639.0, 479.0), (50, 2))
     for (u, v), direction in zip(pixels, model.rays(pixels), strict=True):
@@ -37,7 +37,7 @@ def test_a_ray_that_misses_meets_nothing() -> None:
 
 
 def test_the_corners_span_the_whole_picture() -> None:
-    model = CameraModel.from_calibration(CAMERA)
+    model = camera_model(CAMERA)
     edges = [(-0.5, -0.5), (639.5, -0.5), (639.5, 479.5), (-0.5, 479.5)]
     assert model.project(PLANE.corners) == pytest.approx(np.array(edges), abs=1e-6)
     assert PLANE.size_m == pytest.approx((640 * PICTURE_DISTANCE_M / 520.0, 480 * PICTURE_DISTANCE_M / 510.0))

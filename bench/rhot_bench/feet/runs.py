@@ -27,9 +27,10 @@ from rhot_bench.feet.heads import START_NS, Heads
 from rhot_bench.thesis.feet import ThesisFeet, ThesisFilter
 from rhot_feet.filter.model import FootFilterSettings, FootState
 from rhot_feet.foot_core import FootCore
-from rhot_feet.frames import DepthFrame, HeadTrack, pinhole
+from rhot_feet.frames import DepthFrame, pinhole
+from rhot_feet.head_track import HeadTrack
 from rhot_feet.imu.samples import ImuSamples
-from rhot_ik.legs.body_core import BodyCore
+from rhot_ik.body_core import BodyCore
 from rhot_sim.sources.imu import SimulatedSource
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.pictures.disturbances import Cover, Disturbances

@@ -22,8 +22,8 @@ from rhot_bench.thesis.paint_samples import thesis_boxes
 from rhot_capture.detection.subpixel import windows
 from rhot_capture.detection.subpixel.windows import MIN_CONTRAST, MIN_SURROUNDINGS, MISFIT, NOISE, RIDGE, TINY
 from rhot_fusion.core import FusionCore
-from rhot_ik.hand.core import HandCore
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
+from rhot_ik.hand_core import HandCore
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.world import World
 from rhot_tools.measures.rows import Row, Section

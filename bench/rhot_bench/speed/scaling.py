@@ -12,13 +12,13 @@ from typing import Final
 
 import numpy as np
 
+from rhot.anatomy.markers import own_paints
 from rhot.bus import Bus, EventSubscriber, Publisher
 from rhot.messages import Marker, MarkerFrame, Side
 from rhot.operation.supervisor import Supervisor
 from rhot.rig import BusConfig, Rig, load_rig, write_json_model
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import CAMERAS_FILE, RIG_FILE, load_config, write_text_atomic
-from rhot.rig.marker_config import own_paints
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
 from rhot_bench.speed.cores import MICRO, MILLI, Advance, Scene, points_of
@@ -27,7 +27,7 @@ from rhot_bench.speed.simulated import projected_frames, with_cameras, with_rate
 from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_fusion.core import FusionCore
-from rhot_ik.hand.core import HandCore
+from rhot_ik.hand_core import HandCore
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.rig.folder import CAMERA_NAMES
 from rhot_sim.running.processes import free_endpoint

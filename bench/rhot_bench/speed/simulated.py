@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rhot.anatomy.markers import own_paints
 from rhot.arrays import FloatArray, ImageArray
 from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame
 from rhot.rig import Rig
 from rhot.rig.colors import load_colors
-from rhot.rig.marker_config import own_paints
 from rhot_bench.measures.hands import START_NS
 from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector

@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 
 from rhot.anatomy.hand import HandModel
+from rhot.anatomy.markers import worn_paints
 from rhot.anatomy.skeleton import CHAINS, JOINTS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.cli.options import FiniteRange
@@ -24,7 +25,6 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import HandPose, Marker, MarkerFrame, PointSet, Side
 from rhot.offline import core, track_smoothly, track_with
 from rhot.rig import Rig
-from rhot.rig.marker_config import worn_paints
 from rhot_bench.measures.hands import START_NS, against_truth, hand_figures
 from rhot_bench.speed.simulated import Moment, moments, world_of
 from rhot_bench.tracking.tracking import MM, RATE_HZ, SETTLE_S, scene_frames

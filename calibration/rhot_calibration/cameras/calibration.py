@@ -14,6 +14,7 @@ from rhot.geometry.camera import CameraModel, epipolar_distance
 from rhot.geometry.rotations import inverse
 from rhot.rig import CameraCalibration, CamerasFile, Rig
 from rhot.rig.calibration import today
+from rhot.rig.cameras import camera_entry
 from rhot.rig.folder import nominal_camera
 from rhot_calibration.cameras.bundle.adjustment import Adjusted, adjust_views
 from rhot_calibration.cameras.bundle.lens import camera_matrix, lens_of
@@ -184,7 +185,7 @@ def models_of(adjusted: Adjusted, views: ViewSet) -> dict[str, CameraModel]:
 
 def cameras_file(calibrated: Calibrated, views: ViewSet) -> CamerasFile:
     """Return what is written into the rig folder."""
-    cameras = {name: model.to_calibration() for name, model in calibrated.models.items()}
+    cameras = {name: camera_entry(model) for name, model in calibrated.models.items()}
     return CamerasFile(date=today(), cameras=cameras, quality=_quality(calibrated, views))
 
 

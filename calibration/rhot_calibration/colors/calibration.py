@@ -14,12 +14,12 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.anatomy.markers import own_paints, worn_paints
 from rhot.arrays import BoolArray, FloatArray, ImageArray, IndexArray
 from rhot.errors import CalibrationError
 from rhot.rig.calibration import today
 from rhot.rig.colors import ColorComponent, ColorsFile, Gains, GaussianColor, log_ratio
 from rhot.rig.config import MarkerConfig
-from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_calibration.colors.model.fit import (
     COUNTER_FLOOR,
     MARKER_FLOOR,

@@ -11,6 +11,7 @@ import click
 import cv2
 from rich.console import Console
 
+from rhot.anatomy.markers import own_paints
 from rhot.arrays import ImageArray
 from rhot.atomic_file import write_atomic
 from rhot.cli.options import bus_options, rig_option, tool_bus
@@ -19,7 +20,6 @@ from rhot.recording.picture_file import read_picture
 from rhot.rig import Rig, load_rig
 from rhot.rig.calibration import today
 from rhot.rig.colors import ColorsFile
-from rhot.rig.marker_config import own_paints
 from rhot_calibration.colors.import_2018 import load_box_calibration, load_camera_settings, rig_lines
 from rhot_calibration.colors.learning import learn_colors, live_pictures
 from rhot_calibration.colors.picking.picks import parse_places

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from rhot.anatomy.markers import own_paints
 from rhot.arrays import BoolArray, ImageArray
 from rhot.bus import Bus, Reply
 from rhot.calibration_step import Figures, Remark
@@ -16,7 +17,6 @@ from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
 from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
-from rhot.rig.marker_config import own_paints
 from rhot_calibration.colors.calibration import ColorCalibration, calibrate
 from rhot_calibration.colors.picking.clicks import ClickedPicture
 from rhot_calibration.colors.picking.picks import Places

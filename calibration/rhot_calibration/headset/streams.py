@@ -33,7 +33,8 @@ from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
 from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
 from rhot.rig.feet_config import FeetConfig
-from rhot_feet.frames import ColorImage, HeadTrack, pinhole
+from rhot_feet.frames import ColorImage, pinhole
+from rhot_feet.head_track import HeadTrack
 from rhot_feet.input_stream import CAMERA
 from rhot_feet.marker.detection import MarkerDetection, MarkerFinder
 from rhot_feet.offline import HEAD_KEY, recorded_heads

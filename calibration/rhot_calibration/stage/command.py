@@ -12,9 +12,9 @@ from rich.console import Console
 from rhot.bus import Bus
 from rhot.cli.options import Finite, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
-from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig, StageFile, load_rig
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
+from rhot.rig.cameras import camera_models
 from rhot.rig.folder import STAGE_FILE, registration_name, registration_path
 from rhot_calibration.cameras.board.grid import DEFAULT_DICTIONARY, parse_board
 from rhot_calibration.cameras.live.live import CONNECT_S
@@ -112,7 +112,7 @@ def stage(
         else:
             sizes = {name: (camera.width, camera.height) for name, camera in rig.config.cameras.items()}
             views = read_pictures(recording or Path(), board, list(rig.cameras), None, sizes).views
-        cameras = {name: CameraModel.from_calibration(camera) for name, camera in rig.cameras.items()}
+        cameras = camera_models(rig.cameras)
         fit = fit_desk(cameras, views)
         _print_fit(console, fit)
         first = next(iter(cameras.values()))

@@ -25,9 +25,10 @@ from rhot.bus import Bus
 from rhot.errors import BusError, CalibrationError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rigid
+from rhot.quality import figure
 from rhot.recording.picture_file import decode_picture
 from rhot.rig import RegistrationFile, RigidTransform, StageFile
-from rhot.rig.calibration import figure, today
+from rhot.rig.calibration import today
 from rhot_calibration.cameras.board.detect import detect_board
 from rhot_calibration.cameras.live.display import preview_of
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet

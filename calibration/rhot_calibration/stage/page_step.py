@@ -10,9 +10,9 @@ import numpy as np
 from rhot.bus import Bus
 from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView, typed_metres
 from rhot.errors import CalibrationError, ConfigError
-from rhot.geometry.camera import CameraModel
 from rhot.rig import StageFile, load_rig
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
+from rhot.rig.cameras import camera_models
 from rhot.rig.folder import STAGE_FILE, registration_path
 from rhot_calibration.cameras.board.grid import parse_board
 from rhot_calibration.cameras.live.live import CONNECT_S
@@ -96,7 +96,7 @@ class StageStep(PageStep[StageFile]):
         rig = load_rig(self._context.rig_path)
         if not rig.calibrated:
             raise CalibrationError("the cameras are not calibrated; do that first")
-        cameras = {name: CameraModel.from_calibration(camera) for name, camera in rig.cameras.items()}
+        cameras = camera_models(rig.cameras)
         with self._busy("looking at the desk"):
             async with await Bus.open(self._context.bus, timeout_s=CONNECT_S) as bus:
                 views = await look_at_desk(bus, list(cameras), board)

@@ -18,12 +18,11 @@ Frames as in `rhot.messages.BodyPose`: +X to the body's right, +Y up, +Z backwar
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.rig.feet_config import BodyConfig
 
 THIGH: Final = 0.245
 SHANK: Final = 0.246
@@ -51,6 +50,40 @@ SPINE_SHARES: Final[tuple[float, float, float]] = (
 HEEL_SHARE: Final = 0.25
 BALL_SHARE: Final = 0.47
 """How far the heel's end lies behind the ankle and the ball of the foot in front of it, as shares of the foot."""
+
+
+class BodyMeasures(Protocol):
+    """What is known of a person; `rhot.rig.BodyConfig` is one. What is None follows from the height."""
+
+    @property
+    def height_m(self) -> float:
+        """Standing, without shoes."""
+        ...
+
+    @property
+    def hip_width_m(self) -> float | None:
+        """Between the hip joints."""
+        ...
+
+    @property
+    def thigh_m(self) -> float | None:
+        """Hip to knee."""
+        ...
+
+    @property
+    def shank_m(self) -> float | None:
+        """Knee to ankle."""
+        ...
+
+    @property
+    def upper_arm_m(self) -> float | None:
+        """Shoulder to elbow."""
+        ...
+
+    @property
+    def forearm_m(self) -> float | None:
+        """Elbow to wrist."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +117,7 @@ class BodyModel:
     shoulder_m: tuple[float, float, float]
 
     @classmethod
-    def from_config(cls, config: BodyConfig) -> BodyModel:
+    def from_config(cls, config: BodyMeasures) -> BodyModel:
         """Return the person of a `rig.toml`; lengths that are left out follow from the height."""
         height = config.height_m
         return cls(

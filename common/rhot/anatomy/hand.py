@@ -22,13 +22,11 @@ from typing import Final
 
 import numpy as np
 
-from rhot.anatomy.hand_proportions import RestGeometry, rest_geometry
+from rhot.anatomy.hand_proportions import HandMeasures, RestGeometry, rest_geometry
+from rhot.anatomy.markers import Marker
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
 from rhot.arrays import FloatArray
-from rhot.messages import Side
-from rhot.rig.calibration import HandFile
-from rhot.rig.config import MarkerConfig
-from rhot.rig.file_model import Vector3
+from rhot.types import Side, Vector3
 
 CAP_SHARE: Final = 0.75
 """A painted fingertip is painted over this share of its last segment, from the very tip. People stop between the root
@@ -87,7 +85,7 @@ class HandModel(RestGeometry):
     marker_offsets_m: Mapping[str, Vector3]
 
     @classmethod
-    def from_file(cls, hand: HandFile, side: Side) -> HandModel:
+    def from_file(cls, hand: HandMeasures, side: Side) -> HandModel:
         """Build the model from `hand.json`; what it leaves out follows from the hand's length.
 
         A left hand is a right one mirrored at x = 0.
@@ -191,7 +189,7 @@ class HandModel(RestGeometry):
         chain[..., 1:, :] = self.knuckles[:, None, :] - np.cumsum(self.bones[..., None] * axes[..., 2], axis=-2)
         return chain, axes
 
-    def marker_offset(self, name: str, marker: MarkerConfig) -> FloatArray:
+    def marker_offset(self, name: str, marker: Marker) -> FloatArray:
         """Return where a marker's painted centre lies in its joint's frame, (3,), metres.
 
         A cap covers `CAP_SHARE` of the last segment, taken as a cylinder with a half ball at its end whose centre is
@@ -218,7 +216,7 @@ class HandModel(RestGeometry):
         behind = (cylinder * straight / 2.0 - ball * 3.0 / 8.0 * radius) / (ball + cylinder)
         return np.array([0.0, 0.0, behind])
 
-    def marker_positions(self, joints: HandJoints, markers: Mapping[str, MarkerConfig]) -> dict[str, FloatArray]:
+    def marker_positions(self, joints: HandJoints, markers: Mapping[str, Marker]) -> dict[str, FloatArray]:
         """Return the centre (..., 3), metres, of each marker that this hand wears; see `marker_offset`."""
         return {
             name: joints.position(marker.joint) + joints.rotation(marker.joint) @ self.marker_offset(name, marker)
@@ -226,7 +224,7 @@ class HandModel(RestGeometry):
             if marker.hand == self.side
         }
 
-    def patch_corners(self, joints: HandJoints, marker: MarkerConfig, name: str = "base") -> FloatArray:
+    def patch_corners(self, joints: HandJoints, marker: Marker, name: str = "base") -> FloatArray:
         """Return the corners (..., 4, 3), metres, of a patch: front left, front right, back right, back left.
 
         Front is towards the fingers, left and right are −X and +X of its joint; the size is `marker.size_m`, across
@@ -238,7 +236,7 @@ class HandModel(RestGeometry):
         return corners
 
 
-def patch_outline(marker: MarkerConfig) -> FloatArray:
+def patch_outline(marker: Marker) -> FloatArray:
     """Return the corners (4, 3) of a patch about its centre, metres, in its joint's frame; order of `patch_corners`."""
     across, along = marker.size_m or (0.0, 0.0)
     signs = np.array([[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import rotation_x, rotation_y, rotation_z
-from rhot.rig.calibration import HandFile
+from rhot.types import Vector3
 
 REFERENCE_LENGTH_M: Final = 0.18491
 """Wrist joint to the end of the middle finger of the hand that the following millimetres describe."""
@@ -122,6 +122,35 @@ SPREAD_LIMITS: Final = (0.5, 2.0)
 """The knuckles may stand this many times as far apart as the proportions have them."""
 
 
+class HandMeasures(Protocol):
+    """What is known of a person's hand; `rhot.rig.HandFile` is one. What is absent follows from the length."""
+
+    @property
+    def length_m(self) -> float:
+        """From the wrist crease to the tip of the middle finger."""
+        ...
+
+    @property
+    def width_m(self) -> float | None:
+        """Across the knuckles of the four fingers, flesh included."""
+        ...
+
+    @property
+    def bones_m(self) -> Mapping[str, float]:
+        """Length of the bone from its parent to a joint, metres, by the joint's OpenXR name."""
+        ...
+
+    @property
+    def radii_m(self) -> Mapping[str, float]:
+        """Radius of the flesh around a joint, metres."""
+        ...
+
+    @property
+    def marker_offsets_m(self) -> Mapping[str, Vector3]:
+        """Offset from the joint to a marker's painted centre, metres, in the joint's frame, by marker."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class RestGeometry:
     """The bones of a hand with all angles zero, and the ranges of its angles; see `rhot.anatomy.hand` for frames.
@@ -154,7 +183,7 @@ class RestGeometry:
     coupling: FloatArray
 
 
-def rest_geometry(hand: HandFile) -> RestGeometry:
+def rest_geometry(hand: HandMeasures) -> RestGeometry:
     """Return the rest geometry of a right hand; lengths in `hand.bones_m` replace the proportional ones.
 
     A length given for a metacarpal joint stretches the carpal bone before it, one for a proximal joint the
@@ -201,7 +230,7 @@ def rest_geometry(hand: HandFile) -> RestGeometry:
     )
 
 
-def width_across_knuckles(hand: HandFile, spread: float = 1.0) -> float:
+def width_across_knuckles(hand: HandMeasures, spread: float = 1.0) -> float:
     """Return the width, metres, of a hand with these lengths, whatever `hand.width_m` says.
 
     Args:
@@ -213,7 +242,7 @@ def width_across_knuckles(hand: HandFile, spread: float = 1.0) -> float:
     return float(spread * (little[0] - index[0]) / KNUCKLES_OF_WIDTH)
 
 
-def _spread(hand: HandFile, width_m: float) -> float:
+def _spread(hand: HandMeasures, width_m: float) -> float:
     """Return the factor on the knuckles' distances that gives the hand this width."""
     spread = width_m / width_across_knuckles(hand)
     low, high = SPREAD_LIMITS
@@ -256,7 +285,7 @@ def _stretched(vector: FloatArray, length_m: float | None) -> FloatArray:
     return stretched
 
 
-def _radii(hand: HandFile, scale: float) -> FloatArray:
+def _radii(hand: HandMeasures, scale: float) -> FloatArray:
     radii = {"palm": PALM_RADIUS_MM * scale, "wrist": WRIST_RADIUS_MM * scale}
     for finger in FINGERS:
         radii |= {joint: radius * scale for joint, radius in zip(CHAINS[finger], RADII_MM[finger], strict=True)}

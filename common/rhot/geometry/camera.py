@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +18,6 @@ from numpy.typing import NDArray
 from rhot.arrays import FloatArray
 from rhot.geometry.distortion import RATIONAL, distorted
 from rhot.geometry.rotations import cross_matrix, rigid
-from rhot.rig.calibration import CameraCalibration, matrix3, matrix4
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,18 +42,6 @@ class CameraModel:
     center: FloatArray
 
     @classmethod
-    def from_calibration(cls, calibration: CameraCalibration) -> CameraModel:
-        """Build the model of a camera in `cameras.json`."""
-        T = np.array(calibration.T_rig_camera)
-        return cls.from_arrays(
-            calibration.width,
-            calibration.height,
-            np.array(calibration.K),
-            np.array(calibration.distortion),
-            T,
-        )
-
-    @classmethod
     def from_arrays(
         cls, width: int, height: int, K: FloatArray, distortion: FloatArray, T_rig_camera: FloatArray
     ) -> CameraModel:
@@ -64,16 +53,6 @@ class CameraModel:
         for array in arrays:
             array.setflags(write=False)
         return cls(width, height, *arrays)
-
-    def to_calibration(self) -> CameraCalibration:
-        """Return the entry of `cameras.json`."""
-        return CameraCalibration(
-            width=self.width,
-            height=self.height,
-            K=matrix3(self.K),
-            distortion=tuple(self.distortion.tolist()),
-            T_rig_camera=matrix4(self.T_rig_camera),
-        )
 
     @property
     def T_rig_camera(self) -> FloatArray:
@@ -121,6 +100,33 @@ class CameraModel:
         u, v = pixels[:, 0], pixels[:, 1]
         inside: NDArray[np.bool_] = (u > -0.5) & (u < self.width - 0.5) & (v > -0.5) & (v < self.height - 0.5)
         return inside
+
+
+@dataclass(frozen=True, slots=True)
+class CameraRig:
+    """The cameras of a rig, in the order of `rig.toml`; made once from its files (`rhot.rig.cameras.camera_rig`).
+
+    Attributes:
+        names: of the cameras.
+        models: of each.
+        rates_hz: frames per second of each.
+        calibrated: the models come from `cameras.json`, not from nominal values.
+        quality: what the calibration states of itself, as in `cameras.json`; see `rhot.quality`.
+    """
+
+    names: tuple[str, ...]
+    models: tuple[CameraModel, ...]
+    rates_hz: tuple[float, ...]
+    calibrated: bool = True
+    quality: Any = None
+
+    def __getitem__(self, name: str) -> CameraModel:
+        """Return the model of a camera."""
+        return self.models[self.names.index(name)]
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return every two cameras, by name."""
+        return list(combinations(self.names, 2))
 
 
 def _bent(xy: FloatArray, distortion: FloatArray) -> FloatArray:

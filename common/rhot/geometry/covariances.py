@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.messages import Point
 
 _ROUNDING_M2: Final = 1e-8
 """A standard deviation of 0.1 mm, added before a covariance is judged."""
@@ -46,21 +46,21 @@ def squared_distances(vectors: FloatArray, covariances: FloatArray) -> list[floa
     return distances
 
 
-def stated_covariance(point: Point) -> tuple[float, ...]:
+def stated_covariance(covariance: Sequence[float] | None, sigma: float) -> tuple[float, ...]:
     """Return the covariance (9,) of a point's error, m², row by row.
 
     A point without one states the root of the summed variances alone, which is then taken as alike in all directions.
     """
-    if point.covariance is None:
-        variance = point.sigma**2 / 3.0
+    if covariance is None:
+        variance = sigma**2 / 3.0
         return (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
-    xx, xy, xz, yy, yz, zz = point.covariance
+    xx, xy, xz, yy, yz, zz = covariance
     return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
 
-def has_covariance(point: Point) -> bool:
+def has_covariance(covariance: Sequence[float] | None, sigma: float) -> bool:
     """Return whether what a point states can be a covariance: positive (Sylvester's criterion) but for rounding."""
-    a, b, c, _, d, e, _, _, f = stated_covariance(point)
+    a, b, c, _, d, e, _, _, f = stated_covariance(covariance, sigma)
     a, d, f = a + _ROUNDING_M2, d + _ROUNDING_M2, f + _ROUNDING_M2
     two = a * d - b * b
     return a > 0.0 and two > 0.0 and f * two > a * e * e - 2.0 * b * c * e + c * c * d

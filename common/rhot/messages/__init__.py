@@ -17,12 +17,9 @@ from rhot.messages.base import (
     Message,
     Name,
     PixelPoint,
-    PointState,
     Pose,
     Position,
     Quaternion,
-    Side,
-    State,
     WireModel,
     first_problem,
 )
@@ -52,6 +49,7 @@ from rhot.messages.objects import (
     Truth,
 )
 from rhot.messages.services import ClockReply, Control, ServiceStatus
+from rhot.types import PointState, Side, State
 
 __all__ = [
     "MAX_PAYLOAD_BYTES",

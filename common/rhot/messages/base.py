@@ -89,12 +89,6 @@ PixelPoint = tuple[Pixel, Pixel]
 Position = tuple[Metres, Metres, Metres]
 Quaternion = tuple[float, float, float, float]
 
-State = Literal["measured", "predicted"]
-"""`measured`: based on an observation at this time; `predicted`: extrapolated by a model."""
-PointState = Literal["measured", "one_view", "predicted"]
-"""`measured`: seen by two or more cameras at this time; `one_view`: on one camera's ray; `predicted`: extrapolated."""
-Side = Literal["left", "right"]
-
 
 class WireModel(BaseModel):
     """Base of messages and their parts: frozen, finite values, strict types, unknown fields ignored."""

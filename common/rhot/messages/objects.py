@@ -15,19 +15,17 @@ from rhot.messages.base import (
     Name,
     Pixel,
     PixelPoint,
-    PointState,
     Pose,
     Position,
     Quaternion,
     Seconds,
-    Side,
     SignedUnit,
-    State,
     TimeNs,
     Unit,
     WireModel,
     unit_quaternion,
 )
+from rhot.types import PointState, Side, State
 
 # Markers in images, and as points in space.
 

@@ -9,6 +9,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
+from rhot.anatomy.markers import own_paints
 from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import BoxShape, CylinderShape, Name, Side, SphereShape
 from rhot.rig.file_model import FileModel, Positive
@@ -232,22 +233,6 @@ class MarkerConfig(FileModel):
         if self.min_area_px >= self.max_area_px:
             raise ValueError(f"min_area_px {self.min_area_px} must be below max_area_px {self.max_area_px}")
         return self
-
-
-def own_paints(markers: Mapping[str, MarkerConfig]) -> dict[str, MarkerConfig]:
-    """Return the markers that stand for a paint: all but those that wear the paint of another."""
-    return {name: marker for name, marker in markers.items() if marker.paint_of is None}
-
-
-def worn_paints(markers: Mapping[str, MarkerConfig]) -> dict[str, str]:
-    """Return, by marker, the marker that stands for its paint."""
-    return {name: marker.paint_of or name for name, marker in markers.items()}
-
-
-def unshared_paints(markers: Mapping[str, MarkerConfig]) -> set[str]:
-    """Return the markers whose paint no other one wears."""
-    worn = [marker.paint_of for marker in markers.values()]
-    return {name for name in own_paints(markers) if name not in worn}
 
 
 def check_shared_paints(markers: Mapping[str, MarkerConfig]) -> None:

@@ -10,8 +10,9 @@ from typing import Final
 from rhot.bus import Publisher
 from rhot.errors import RhotError
 from rhot.messages import Space
+from rhot.quality import figure
 from rhot.rig import RegistrationFile, StageFile, read_json_model
-from rhot.rig.calibration import RigidTransform, figure, matrix4
+from rhot.rig.calibration import RigidTransform, matrix4
 from rhot.rig.folder import OBJECT_SOURCES, STAGE_FILE, registration_name
 from rhot.rig.kept_file import ABSENT, file_stamp
 from rhot.service.node import Node

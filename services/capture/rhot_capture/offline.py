@@ -5,12 +5,12 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterator
 
+from rhot.anatomy.markers import own_paints
 from rhot.errors import ConfigError
 from rhot.messages import MarkerFrame
 from rhot.recording import MarkerTrack, PictureTrack, Recording, VideoTrack
 from rhot.rig import Rig
 from rhot.rig.colors import load_colors
-from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.color_table import ColorTable, camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.recorded import read_pictures

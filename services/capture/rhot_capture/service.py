@@ -14,6 +14,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
+from rhot.anatomy.markers import own_paints, worn_paints
 from rhot.arrays import ImageArray
 from rhot.bus import Answer, Bus, Publisher, Request, json_answer
 from rhot.clock import NodeClock
@@ -25,7 +26,7 @@ from rhot.rig import Rig
 from rhot.rig.config import CameraConfig
 from rhot.rig.file_model import FileModel, Positive
 from rhot.rig.folder import latest_rig, load_config, read_json_model, write_json_model
-from rhot.rig.marker_config import Brightness, Contrast, Saturation, own_paints, worn_paints
+from rhot.rig.marker_config import Brightness, Contrast, Saturation
 from rhot.rig.toml_edit import change_rig_file
 from rhot.service import Node
 from rhot.service.grabber import Grabber

@@ -26,7 +26,8 @@ from rhot_feet.depth.tracker import DepthObservations, DepthTracker
 from rhot_feet.filter.foot_filter import FootFilter
 from rhot_feet.filter.kinematic import unseen_error_m
 from rhot_feet.filter.model import FootFilterSettings, FootState
-from rhot_feet.frames import DepthFrame, HeadTrack
+from rhot_feet.frames import DepthFrame
+from rhot_feet.head_track import HeadTrack
 from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.marker.tracker import FootMarker, MarkerTracker
 from rhot_feet.prediction import OTHER_FOOT, FootPrediction

@@ -12,7 +12,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.hull import Region
-from rhot.messages import Side
+from rhot.types import Side
 
 OTHER_FOOT: Final[dict[Side, Side]] = {"left": "right", "right": "left"}
 GATE_SIGMAS = 4.0

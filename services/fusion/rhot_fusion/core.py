@@ -17,6 +17,7 @@ from rhot.messages import MarkerFrame, Point, PointSet, PointState, Position
 from rhot.messages.base import wire_position
 from rhot.plugins import load_plugin
 from rhot.rig import FusionConfig, Rig
+from rhot.rig.cameras import camera_rig
 from rhot_fusion.filter.joint import squared_distance
 from rhot_fusion.filter.state import ROUND
 from rhot_fusion.filter.tracker import FilterTracker
@@ -230,19 +231,19 @@ class FusionCore:
                 "[cameras.NAME]"
             )
         self.counts: Counter[str] = Counter()
-        models = {name: CameraModel.from_calibration(camera) for name, camera in rig.cameras.items()}
-        self._models = list(models.values())
-        self._camera_index = {name: index for index, name in enumerate(models)}
+        self._cameras = camera_rig(rig)
+        self._models = list(self._cameras.models)
+        self._camera_index = {name: index for index, name in enumerate(self._cameras.names)}
         self._markers = tuple(rig.config.markers)
         self._config = rig.config.fusion
-        self._periods_s = [1.0 / camera.rate_hz for camera in rig.config.cameras.values()]
+        self._periods_s = [1.0 / rate_hz for rate_hz in self._cameras.rates_hz]
         self._rig = rig
         self._record = record
         self._published: list[PointSet] = []
         self._smoothed: list[PointSet] = []
         self._tracker = self._make_tracker(self._config)
         self._corners = PatchCorners(rig.config.markers, self._models)
-        self._guard = StreamGuard(models, self.counts)
+        self._guard = StreamGuard(dict(zip(self._cameras.names, self._models, strict=True)), self.counts)
         self._base_ns: int | None = None
         self._newest_s = 0.0
 
@@ -376,7 +377,7 @@ class FusionCore:
         # Computed on demand: in few frames does a marker touch the border.
         borders = [nearest_border(u, v, frame.width, frame.height) for u, v in uv] if is_near else None
         # One call undistorts all pixels.
-        count, patches = len(indices), self._corners.listed(camera, frame)
+        count, patches = len(indices), self._corners.listed(camera, frame.markers)
         for points in patches.values():
             uv += points
         xy = self._models[camera].undistort(np.array(uv))
@@ -401,7 +402,9 @@ class FusionCore:
 
     def _make_tracker(self, config: FusionConfig) -> Tracker:
         if config.method == "filter":
-            return FilterTracker(self._rig, self._models, config, self.counts, record=self._record)
+            return FilterTracker(
+                self._cameras, self._rig.config.markers, self._rig.hand, config, self.counts, record=self._record
+            )
         what = f'[fusion] method = "{config.method}"'
         method: Callable[..., Tracker] = load_plugin("rhot.methods", f"fusion.{config.method}", what, "bench")
         return method(self._models, self._rig.config.markers, self._rig.hand, self._periods_s, config, self.counts)

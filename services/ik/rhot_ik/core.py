@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from rhot.core import Explanation, Output
 from rhot.messages import FootPose, HandPose, HeadPose, ObjectPose, PointSet
 from rhot.rig import IkConfig, Rig
-from rhot_ik.hand.core import HandCore
-from rhot_ik.legs.body_core import BodyCore
+from rhot_ik.body_core import BodyCore
+from rhot_ik.hand_core import HandCore
 
 
 class IkCore:

@@ -13,6 +13,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
+from rhot.anatomy.markers import own_paints
 from rhot.calibration_step import StepContext
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
@@ -20,7 +21,6 @@ from rhot.messages import Control, ServiceStatus
 from rhot.rig import BusConfig, Rig
 from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig
-from rhot.rig.marker_config import own_paints
 from rhot.service import Node
 from rhot.service.runner import serve
 from rhot_viewer.browser.access import Access

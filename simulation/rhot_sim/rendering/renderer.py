@@ -15,10 +15,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from rhot.anatomy.markers import own_paints, worn_paints
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig.config import CameraConfig, SimConfig
-from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_sim.rendering.backdrop import Backdrop, Image, SensorNoise
 from rhot_sim.rendering.canvas import AA_GROWTH, AA_SEAM, Window, disjoint, far_to_near, paint_groups
 from rhot_sim.rendering.outline import OutlinePaths, Outliner, row_timed

@@ -14,6 +14,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel, epipolar_distance, meeting_points
 from rhot.geometry.rotations import inverse, rigid, rotation_from_vector, vector_from_rotation
 from rhot.rig.calibration import CameraCalibration, CamerasFile, today
+from rhot.rig.cameras import camera_entry, camera_model
 from rhot.rig.config import CameraConfig
 from rhot_sim.world.script import seeded
 
@@ -63,7 +64,7 @@ def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) ->
         K = _intrinsics(camera, rng)
         distortion = np.array(DISTORTION) * rng.uniform(0.85, 1.15, 5)
         T = _pose(index, rng)
-        truth[name] = CameraModel.from_arrays(camera.width, camera.height, K, distortion, T).to_calibration()
+        truth[name] = camera_entry(CameraModel.from_arrays(camera.width, camera.height, K, distortion, T))
         found_intrinsics[name] = _intrinsics_found(K, distortion, rng)
     found = _poses_found(truth, found_intrinsics, seed)
     note = {"source": "simulated", "seed": seed}
@@ -93,7 +94,7 @@ def _poses_found(
     boards = _board_points(seeded(seed, 21))
     poses: dict[str, FloatArray] = {}
     for index, (name, calibration) in enumerate(truth.items()):
-        camera = CameraModel.from_calibration(calibration)
+        camera = camera_model(calibration)
         noise = seeded(seed, 22, index, zlib.crc32(name.encode())).normal(0.0, CORNER_SIGMA_PX, (len(boards), 2))
         pixels = camera.project(boards)
         seen = camera.contains(pixels)
@@ -106,9 +107,11 @@ def _poses_found(
     # The rig frame that a calibration defines is its own reference camera, small rotation and all.
     T_reference_rig = inverse(next(iter(poses.values())))
     return {
-        name: CameraModel.from_arrays(
-            truth[name].width, truth[name].height, *intrinsics[name], T_reference_rig @ T_rig_camera
-        ).to_calibration()
+        name: camera_entry(
+            CameraModel.from_arrays(
+                truth[name].width, truth[name].height, *intrinsics[name], T_reference_rig @ T_rig_camera
+            )
+        )
         for name, T_rig_camera in poses.items()
     }
 
@@ -121,7 +124,7 @@ def _quality(
     Per pair with the reference camera the epipolar error of the boards' corners; per distance the median error of
     points that the true cameras see and the found ones triangulate.
     """
-    cameras = [tuple(CameraModel.from_calibration(file[name]) for file in (truth, found)) for name in truth]
+    cameras = [tuple(camera_model(file[name]) for file in (truth, found)) for name in truth]
     (reference, reference_found), others = cameras[0], cameras[1:]
     boards = _board_points(seeded(seed, 21))
     noise = seeded(seed, 23).normal(0.0, CORNER_SIGMA_PX, (len(cameras), len(boards), 2))

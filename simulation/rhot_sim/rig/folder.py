@@ -19,6 +19,7 @@ from rhot.geometry.rotations import rigid, rotation_y
 from rhot.messages import Side
 from rhot.rig import HandFile, RegistrationFile, Rig, RigidTransform, StageFile, load_rig, write_json_model
 from rhot.rig.calibration import today
+from rhot.rig.cameras import camera_models
 from rhot.rig.config import SimConfig
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE, STAGE_FILE, write_text_atomic
 from rhot.rig.template import rig_template
@@ -136,7 +137,7 @@ def true_stage(sim: SimConfig) -> FloatArray:
 def true_cameras(rig: Rig) -> dict[str, CameraModel]:
     """Return the true geometry of the simulated cameras, which their calibration only approaches."""
     truth = simulated_rig_calibration(rig.config.cameras, rig.config.sim.seed).truth.cameras
-    return {name: CameraModel.from_calibration(camera) for name, camera in truth.items()}
+    return camera_models(truth)
 
 
 def calibrate_colors(path: Path) -> None:

@@ -13,10 +13,10 @@ from rhot.anatomy.hand import MOVING, HandJoints, HandModel
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
-from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BoxShape, Side, TruePose, Truth
 from rhot.messages.base import wire_position
+from rhot.rig.cameras import camera_model
 from rhot.rig.config import MarkerConfig, SimConfig
 from rhot.rig.folder import Rig
 from rhot_sim.rig.calibration import simulated_rig_calibration
@@ -309,7 +309,7 @@ def _board_motion(rig: Rig, board: ChessBoard) -> Motion:
     if rig.config.sim.motion == "desk_board":
         return LyingBoard(board, rig.config.sim.desk_z_m)
     truth = simulated_rig_calibration(rig.config.cameras, rig.config.sim.seed).truth.cameras
-    cameras = [CameraModel.from_calibration(camera) for camera in truth.values()]
+    cameras = [camera_model(camera) for camera in truth.values()]
     return BoardMotion(rig.config.sim.seed, cameras, board)
 
 

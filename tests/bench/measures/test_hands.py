@@ -7,6 +7,7 @@ from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.camera import CameraModel
 from rhot.rig import CameraConfig, HandFile, MarkerConfig
+from rhot.rig.cameras import camera_models
 from rhot_bench.measures.hands import START_NS, HandRun, against_truth, excess_steps_m, hand_figures
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.world.world import World
@@ -25,7 +26,7 @@ def world() -> World:
 def cameras() -> dict[str, CameraModel]:
     configs = {"left": CameraConfig(), "right": CameraConfig(position_m=(0.075, 0.0, 0.0))}
     truth = simulated_rig_calibration(configs, SEED).truth.cameras
-    return {name: CameraModel.from_calibration(camera) for name, camera in truth.items()}
+    return camera_models(truth)
 
 
 def run_of(world: World, t_s: np.ndarray) -> HandRun:

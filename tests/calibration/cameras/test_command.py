@@ -15,8 +15,9 @@ from click.testing import CliRunner, Result
 
 from rhot.cli.main import main
 from rhot.errors import RhotError
-from rhot.geometry.camera import CameraModel, epipolar_distance
+from rhot.geometry.camera import epipolar_distance
 from rhot.rig import CamerasFile, load_rig, read_json_model
+from rhot.rig.cameras import camera_model
 from rhot_calibration.cameras.board.detect import detect_board
 from rhot_calibration.cameras.pictures import read_gray
 from rhot_calibration.cameras.solve.views import Board
@@ -106,8 +107,7 @@ def test_pairs_that_were_not_used_meet_their_epipolar_lines(pictures: Path, rig:
             shutil.move(pictures / name / f"{number:06d}.jpg", held_out / name / f"{number:06d}.jpg")
     assert run(pictures, rig).exit_code == 0
     cameras = {
-        name: CameraModel.from_calibration(each)
-        for name, each in read_json_model(rig / "cameras.json", CamerasFile).cameras.items()
+        name: camera_model(each) for name, each in read_json_model(rig / "cameras.json", CamerasFile).cameras.items()
     }
     errors = []
     for number in (3, 6, 11):

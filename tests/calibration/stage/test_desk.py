@@ -12,6 +12,7 @@ from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import inverse, rigid, rotation_from_vector, rotation_z
+from rhot.rig.cameras import camera_models
 from rhot.rig.config import CameraConfig, SimConfig
 from rhot_calibration.cameras.solve.views import BoardView, ViewSet
 from rhot_calibration.stage.desk import SAME_PLANE_M, fit_desk, triangulated
@@ -34,8 +35,8 @@ def desk_views(
     """Return corners of boards on the simulated desk and `held` over it, with the found and the true cameras."""
     rng = np.random.default_rng([seed, cameras, 7])
     calibrated = simulated_rig_calibration({name: CameraConfig() for name in CAMERAS[:cameras]}, seed)
-    true = {name: CameraModel.from_calibration(camera) for name, camera in calibrated.truth.cameras.items()}
-    found = {name: CameraModel.from_calibration(camera) for name, camera in calibrated.found.cameras.items()}
+    true = camera_models(calibrated.truth.cameras)
+    found = camera_models(calibrated.found.cameras)
     points = BOARD.points - BOARD.points.mean(axis=0)
     views = {}
     for number in range(places + held):

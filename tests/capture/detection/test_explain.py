@@ -11,7 +11,7 @@ from simulated_take import simulated_rig
 from rhot.arrays import ImageArray
 from rhot.rig import Rig
 from rhot_bench.speed.simulated import Cameras, Moment, moments, world_of
-from rhot_capture.detection.explain import PictureExplainer
+from rhot_capture.explain import PictureExplainer
 
 # In one worker: what they share takes seconds.
 pytestmark = pytest.mark.xdist_group("explained pictures")

@@ -10,9 +10,9 @@ import pytest
 from marker_streams import EPOCH_NS, MARKERS, Motion, Seen, pinhole_cameras, truth_figures, watch
 
 from rhot.anatomy.hand import HandModel
-from rhot.geometry.camera import CameraModel
 from rhot.messages import PointSet
 from rhot.rig import Rig
+from rhot.rig.cameras import camera_rig
 from rhot_fusion.core import FusionCore
 from rhot_fusion.filter.acquisition import hands_of
 from rhot_fusion.filter.tracker import FilterTracker
@@ -307,7 +307,7 @@ def test_a_straight_finger_reaches_as_far_as_its_model(make_rig: MakeRig) -> Non
     side = rig.config.markers["base"].hand
     model = HandModel.from_file(rig.hand, side)
     places = model.marker_positions(model.forward(np.eye(4), np.zeros((5, 4))), rig.config.markers)
-    (hand,) = hands_of(rig, [CameraModel.from_calibration(camera) for camera in rig.cameras.values()], record=False)
+    (hand,) = hands_of(rig.config.markers, rig.hand, camera_rig(rig).models, record=False)
     for k, marker in enumerate(hand.markers):
         name = list(rig.config.markers)[marker]
         hand.filter.begin(k, np.concatenate([places[name], np.zeros(3)]), np.eye(6), 0.0)

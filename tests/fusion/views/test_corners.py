@@ -38,7 +38,7 @@ class Watched:
             listed: tuple[PixelPoint, PixelPoint, PixelPoint, PixelPoint] = (a, b, c, d)
             marker = Marker(u=float(center[0, 0]), v=float(center[0, 1]), area=400.0, score=1.0, corners=listed)
             frame = MarkerFrame(t_ns=EPOCH_NS, camera=name, width=640, height=480, markers={"base": marker})
-            points = self.corners.listed(index, frame)["base"]
+            points = self.corners.listed(index, frame.markers)["base"]
             self.corners.observe(index, "base", 0.0, camera.undistort(np.array(points)).tolist())
 
     def solve(self, point: FloatArray, name: str = "base", t_s: float = 0.0) -> Corners | None:

@@ -9,6 +9,7 @@ from marker_streams import models, pinhole_cameras
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig import Rig
+from rhot.rig.cameras import camera_model
 from rhot_bench.thesis.paired.marker_states import Triangulation
 from rhot_fusion.views.epipolar import EpipolarModel
 
@@ -30,7 +31,7 @@ def rolled(xy: FloatArray, offset_px: float, roll_rad: float) -> FloatArray:
 
 
 def test_true_views_have_no_residual(make_rig: Callable[..., Rig]) -> None:
-    for cameras in (models(make_rig()), [CameraModel.from_calibration(one) for one in pinhole_cameras(4).values()]):
+    for cameras in (models(make_rig()), [camera_model(one) for one in pinhole_cameras(4).values()]):
         model = EpipolarModel(cameras, 15.0)
         residual = model.residual(observations(cameras, np.random.default_rng(1)))
         assert np.isnan(residual[0]).all()

@@ -12,7 +12,7 @@ from rhot.arrays import FloatArray
 from rhot.core import Output
 from rhot.messages import HandPose, PointSet
 from rhot.rig import Rig
-from rhot_ik.hand.core import BlockSmoother, HandCore
+from rhot_ik.hand_core import BlockSmoother, HandCore
 
 RATE_HZ = 40.0
 TIP = JOINTS.index("ring_tip")

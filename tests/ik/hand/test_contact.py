@@ -5,7 +5,8 @@ import pytest
 
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import MeshShape
-from rhot_ik.hand.contact import Box, Cylinder, Shape, Sphere, body_of
+from rhot_ik.hand.contact import Box, Cylinder, Shape, Sphere
+from rhot_ik.hand_core import body_of
 
 CUBOID = MeshShape(
     file="brick.glb",

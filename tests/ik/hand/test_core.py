@@ -13,8 +13,8 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import HandPose, PointSet, decode, encode
 from rhot.rig import HandFile, IkConfig, Rig
-from rhot_ik.hand.core import HandCore
 from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
+from rhot_ik.hand_core import HandCore
 
 
 def test_first_sample_gives_a_full_valid_message(

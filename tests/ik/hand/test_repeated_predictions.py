@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhot.messages import Point, PointState
-from rhot_ik.hand.core import RepeatedPredictions
+from rhot_ik.hand_core import RepeatedPredictions
 
 RAY = np.array([0.6, 0.0, 0.8])
 ALONG_M, ACROSS_M = 0.08, 0.002

@@ -11,7 +11,7 @@ from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vect
 from rhot.messages import CylinderShape, HandPose, ObjectPose
 from rhot.rig import Rig
 from rhot_ik.core import IkCore
-from rhot_ik.hand.core import HandCore
+from rhot_ik.hand_core import HandCore
 
 
 def test_hidden_finger_is_held_and_rejoins_without_a_step(

@@ -25,7 +25,7 @@ from rhot.messages import (
 )
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import BodyConfig, load_rig
-from rhot_ik.legs.body_core import BodyCore
+from rhot_ik.body_core import BodyCore
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.world import WalkerWorld
 

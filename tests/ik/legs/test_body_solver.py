@@ -7,7 +7,7 @@ import numpy as np
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.rotations import rigid, rotation_y
 from rhot.rig import BodyConfig
-from rhot_ik.legs.body_core import solve_body
+from rhot_ik.body_core import solve_body
 from rhot_ik.legs.hips import Ankle
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))

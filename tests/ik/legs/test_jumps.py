@@ -14,7 +14,7 @@ from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BodyPose, FootPose, HeadPose, Side
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import BodyConfig, load_rig
-from rhot_ik.legs.body_core import FOOT, HEAD, BodyCore, JumpBridge
+from rhot_ik.body_core import FOOT, HEAD, BodyCore, JumpBridge
 from rhot_sim.walker.foot_path import SIDES
 from rhot_sim.walker.person import Person, person_of
 from rhot_sim.walker.programs import PROGRAMS

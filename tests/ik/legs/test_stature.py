@@ -9,7 +9,7 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.geometry.rotations import rigid
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot_ik.legs.body_core import Stature
+from rhot_ik.body_core import Stature
 from rhot_ik.legs.hips import OUTWARDS, Ankle
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.75))

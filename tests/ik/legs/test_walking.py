@@ -12,7 +12,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rigid, rotation_from_quaternion
 from rhot.messages import Side
 from rhot.rig import BodyConfig
-from rhot_ik.legs.body_core import BodySolution, solve_body
+from rhot_ik.body_core import BodySolution, solve_body
 from rhot_ik.legs.hips import Ankle, estimate_hips
 from rhot_sim.walker.person import Person
 from rhot_sim.walker.programs import PROGRAMS

@@ -10,8 +10,8 @@ from rhot.anatomy.hand_proportions import REFERENCE_LENGTH_M
 from rhot.anatomy.skeleton import FINGERS, JOINTS, PARENTS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y
-from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
+from rhot.types import Side
 
 SIDES: tuple[Side, ...] = ("right", "left")
 BENT = np.radians([[10.0, 5.0, 20.0, 15.0], *[[35.0, 4.0, 50.0, 33.0]] * 4])

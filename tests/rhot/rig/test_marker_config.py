@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from rhot.anatomy.markers import own_paints, worn_paints
 from rhot.rig import MarkerConfig
-from rhot.rig.marker_config import check_shared_paints, own_paints, worn_paints
+from rhot.rig.marker_config import check_shared_paints
 
 PATCH = {"kind": "patch", "joint": "wrist", "size_m": (0.04, 0.03)}
 

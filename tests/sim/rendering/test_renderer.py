@@ -29,7 +29,7 @@ INSTANT_S = 1e-6
 
 PROGRAM = """
 import hashlib, numpy as np
-from rhot.geometry.camera import CameraModel
+from rhot.rig.cameras import camera_model
 from rhot.anatomy.hand import HandModel
 from rhot.rig import CameraConfig, HandFile, MarkerConfig
 from rhot.rig.config import SimConfig
@@ -41,7 +41,7 @@ markers["base"] = MarkerConfig(joint="wrist", kind="patch", size_m=(0.04, 0.025)
 world = World(1, {"right": HandModel.from_file(HandFile(), "right")}, markers, ["box"])
 configs = {name: CameraConfig(source="simulated") for name in ("left", "right")}
 camera = simulated_rig_calibration(configs, seed=1).truth.cameras["right"]
-renderer = Renderer(CameraModel.from_calibration(camera), world, SimConfig(), configs["right"], seed=1)
+renderer = Renderer(camera_model(camera), world, SimConfig(), configs["right"], seed=1)
 print(hashlib.sha256(renderer.render(7.77, 0.004, 0.015).tobytes()).hexdigest())
 """
 

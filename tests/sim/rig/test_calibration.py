@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import vector_from_rotation
 from rhot.rig import CameraConfig
+from rhot.rig.cameras import camera_model
 from rhot_sim.rig.calibration import BASELINE_M, SimulatedCalibration, simulated_rig_calibration
 from rhot_sim.world.world import World
 
@@ -17,7 +17,7 @@ def rig(seed: int, count: int = 5) -> SimulatedCalibration:
 
 
 def test_first_camera_is_the_rig_frame_and_the_second_a_baseline_to_its_right() -> None:
-    left, right = (CameraModel.from_calibration(rig(1).truth.cameras[name]) for name in ("left", "right"))
+    left, right = (camera_model(rig(1).truth.cameras[name]) for name in ("left", "right"))
     np.testing.assert_array_equal(left.T_rig_camera, np.eye(4))
     np.testing.assert_allclose(right.center, [BASELINE_M, 0.0, 0.0], atol=0.0011)
     turn_deg = np.degrees(np.linalg.norm(vector_from_rotation(right.R_camera_rig)))
@@ -28,15 +28,13 @@ def test_first_camera_is_the_rig_frame_and_the_second_a_baseline_to_its_right() 
 def test_found_differs_from_true_as_a_calibration_would(seed: int) -> None:
     pair = rig(seed)
     for name in NAMES:
-        true, found = (CameraModel.from_calibration(file.cameras[name]) for file in (pair.truth, pair.found))
+        true, found = (camera_model(file.cameras[name]) for file in (pair.truth, pair.found))
         assert 0.0 < abs(found.K[0, 0] / true.K[0, 0] - 1.0) <= 0.002
         assert 0.0 < np.abs(found.K[:2, 2] - true.K[:2, 2]).max() <= 0.5
         turn_deg = np.degrees(np.linalg.norm(vector_from_rotation(found.R_camera_rig @ true.R_camera_rig.T)))
         assert turn_deg <= 0.2
         assert np.linalg.norm(found.center - true.center) <= 0.003
-    np.testing.assert_allclose(
-        CameraModel.from_calibration(pair.found.cameras["left"]).T_rig_camera, np.eye(4), atol=1e-9
-    )
+    np.testing.assert_allclose(camera_model(pair.found.cameras["left"]).T_rig_camera, np.eye(4), atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -46,8 +44,8 @@ def test_points_come_out_as_after_a_good_calibration(seed: int) -> None:
     points = np.random.default_rng(seed).uniform((-0.15, -0.12, 0.6), (0.15, 0.12, 0.9), (200, 3))
     origins, rays = [], []
     for name in ("left", "right"):
-        found = CameraModel.from_calibration(pair.found.cameras[name])
-        rays.append(found.rays(CameraModel.from_calibration(pair.truth.cameras[name]).project(points)))
+        found = camera_model(pair.found.cameras[name])
+        rays.append(found.rays(camera_model(pair.truth.cameras[name]).project(points)))
         origins.append(found.center)
     across = np.einsum("ni,ni->n", rays[0], rays[1])
     base = origins[1] - origins[0]
@@ -71,7 +69,7 @@ def test_all_cameras_see_the_hand(world: World) -> None:
     sample = world.sample(np.arange(0.0, 32.0, 0.25))
     points = np.concatenate(list(sample.markers.values()))
     for calibration in rig(1).truth.cameras.values():
-        camera = CameraModel.from_calibration(calibration)
+        camera = camera_model(calibration)
         assert camera.contains(camera.project(points)).mean() > 0.98
 
 

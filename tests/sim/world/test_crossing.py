@@ -10,13 +10,13 @@ import pytest
 from click.testing import CliRunner
 
 from rhot.anatomy.hand import HandModel
+from rhot.anatomy.markers import own_paints
 from rhot.anatomy.skeleton import JOINTS
 from rhot.errors import ConfigError
 from rhot.messages import Side
 from rhot.rig import HandFile
 from rhot.rig.colors import nominal_colors
 from rhot.rig.config import SimConfig
-from rhot.rig.marker_config import own_paints
 from rhot_bench.speed.scaling import bare_rig
 from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector

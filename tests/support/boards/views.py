@@ -9,6 +9,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector
+from rhot.rig.cameras import camera_model
 from rhot.rig.config import CameraConfig
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 from rhot_sim.rig.calibration import simulated_rig_calibration
@@ -40,7 +41,7 @@ def simulated_views(
     """
     names = CAMERAS[:cameras]
     truth = simulated_rig_calibration({name: CameraConfig() for name in names}, seed).truth.cameras
-    models = {name: CameraModel.from_calibration(truth[name]) for name in names}
+    models = {name: camera_model(truth[name]) for name in names}
     rng = np.random.default_rng([seed, cameras])
     points = board.points - board.points.mean(axis=0)
     reach = np.linalg.norm(points, axis=1).max()

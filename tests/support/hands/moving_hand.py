@@ -10,7 +10,7 @@ from rhot.anatomy.hand import HandJoints, HandModel
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
 from rhot.messages import HandPose, PointSet
-from rhot_ik.hand.core import HandCore
+from rhot_ik.hand_core import HandCore
 
 MakePoints = Callable[..., PointSet]
 Wrist = Callable[..., FloatArray]

@@ -9,11 +9,11 @@ import pytest
 from marker_streams import Motion, calibration, make_rig, pinhole_cameras, watch
 
 from rhot.errors import CalibrationError
-from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import MarkerFrame
+from rhot.quality import epipolar_limit_px, figures_with_units, pair_epipolar_p95_px
 from rhot.rig import CameraCalibration, Rig
-from rhot.rig.calibration import epipolar_limit_px, figures_with_units, pair_epipolar_p95_px
+from rhot.rig.cameras import camera_models
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_tools.trial.calibration_check import CalibrationReport, judge_calibration
 from rhot_tools.trial.epipolar_residuals import Track, TrackGatherer, fit_linear, interpolate
@@ -39,7 +39,7 @@ def seen_by(cameras: dict[str, CameraCalibration], duration_s: float, noise_px: 
 def judged(
     frames: list[MarkerFrame], cameras: dict[str, CameraCalibration], quality: object = None
 ) -> CalibrationReport:
-    models = {name: CameraModel.from_calibration(camera) for name, camera in cameras.items()}
+    models = camera_models(cameras)
     gatherer = TrackGatherer(models)
     gatherer.add(frames)
     return judge_calibration(gatherer.tracks(), models, gatherer.periods_s(), quality)

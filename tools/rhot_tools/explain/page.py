@@ -9,11 +9,11 @@ from html import escape
 import numpy as np
 
 from rhot.core import Explanation, ExplanationRow, Outline, PictureExplanation
-from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, PointSet
 from rhot.report.html import html_page
 from rhot.report.svg import line_plot
 from rhot.rig import Rig
+from rhot.rig.cameras import camera_model
 from rhot_tools.explain.moment import Trace
 
 _STYLE = """
@@ -104,7 +104,7 @@ def _figure(
         ]
     if points is not None and points.points:
         positions = np.array([point.position for point in points.points.values()])
-        uv = CameraModel.from_calibration(camera).project(positions)
+        uv = camera_model(camera).project(positions)
         for marker_name, (u, v) in zip(points.points, uv.tolist(), strict=True):
             if np.isfinite((u, v)).all():
                 text = f"<title>{escape(marker_name)}, point of fusion</title>"

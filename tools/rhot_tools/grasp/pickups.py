@@ -12,7 +12,7 @@ import numpy as np
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import BoolArray, FloatArray
-from rhot_ik.hand.contact import body_of
+from rhot_ik.hand_core import body_of
 from rhot_tools.grasp.session import TIPS, GraspSession
 
 

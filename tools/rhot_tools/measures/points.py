@@ -70,7 +70,7 @@ def estimates_of(sets: Iterable[PointSet], names: Sequence[str]) -> Estimates:
 
 def covariance_of(point: Point) -> FloatArray:
     """Return the stated covariance (3, 3), m², of a point; see `rhot.geometry.covariances.stated_covariance`."""
-    return np.array(stated_covariance(point)).reshape(3, 3)
+    return np.array(stated_covariance(point.covariance, point.sigma)).reshape(3, 3)
 
 
 # Points against the truth: errors, jitter, swapped and false points, speed.

@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
+from rhot.anatomy.markers import own_paints
 from rhot.arrays import FloatArray
 from rhot.bus import Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
@@ -27,8 +28,9 @@ from rhot.geometry.rotations import inverse
 from rhot.messages import HandPose, ServiceStatus, decode
 from rhot.object_mesh import configured_mesh
 from rhot.operation.status import fetch_status
+from rhot.quality import epipolar_limit_px, figure, figures_with_units, pair_epipolar_p95_px
 from rhot.rig import BusConfig, CamerasFile, Rig, StageFile, load_rig, read_json_model
-from rhot.rig.calibration import CalibrationFile, epipolar_limit_px, figure, figures_with_units, pair_epipolar_p95_px
+from rhot.rig.calibration import CalibrationFile
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import (
     CAMERAS_FILE,
@@ -39,7 +41,7 @@ from rhot.rig.folder import (
     registration_name,
     registration_path,
 )
-from rhot.rig.marker_config import MeshConfig, own_paints
+from rhot.rig.marker_config import MeshConfig
 from rhot.text import as_argument
 from rhot_tools.operate.findings import Finding, check_bus, is_local
 

@@ -15,6 +15,7 @@ import click
 import numpy as np
 from rich.console import Console
 
+from rhot.anatomy.markers import own_paints
 from rhot.arrays import FloatArray, ImageArray
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError, RhotError
@@ -23,9 +24,9 @@ from rhot.messages import MarkerFrame, Point
 from rhot.offline import marker_frames, rig_timing, track
 from rhot.recording import MarkerTrack, load_recording
 from rhot.rig import BusConfig, Rig, load_rig
+from rhot.rig.cameras import camera_model
 from rhot.rig.colors import load_colors
 from rhot.rig.folder import write_text_atomic
-from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.recorded import read_pictures
@@ -78,7 +79,7 @@ class SimulatedTruth:
         The second camera is turned into the first one's orientation, so its own does not matter.
         """
         first, second = list(self.cameras.values())[:2]
-        K = CameraModel.from_calibration(next(iter(self.rig.cameras.values()))).K
+        K = camera_model(next(iter(self.rig.cameras.values()))).K
         return float(K[0, 0]) * abs(float(first.to_camera(second.center[None])[0, 0]))
 
 

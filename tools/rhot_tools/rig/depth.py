@@ -16,9 +16,10 @@ from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, Truth
+from rhot.quality import pair_epipolar_p95_px
 from rhot.report.svg import line_plot
 from rhot.rig import Rig
-from rhot.rig.calibration import pair_epipolar_p95_px
+from rhot.rig.cameras import camera_model
 from rhot_calibration.depth.fit import PhysicalLaw, PowerLaw, fit_physical_law, fit_power_law, relative_rms
 from rhot_fusion.filter.systematic import CALIBRATION_DOUBT, CALIBRATION_PX
 from rhot_tools.measures.rows import Row, Section
@@ -70,7 +71,7 @@ def disparities(rig: Rig, frames: Sequence[MarkerFrame], marker: str) -> tuple[F
     if len(rig.cameras) < 2:
         raise ConfigError(f"{rig.path / 'rig.toml'}: a disparity needs two cameras, it has one")
     names = list(rig.cameras)[:2]
-    first, second = (CameraModel.from_calibration(rig.cameras[name]) for name in names)
+    first, second = (camera_model(rig.cameras[name]) for name in names)
     sign = 1.0 if float(first.to_camera(second.center[None])[0, 0]) > 0.0 else -1.0
     (t_first, x_first), (t_second, x_second) = (
         _views(camera, [each for each in frames if each.camera == name], marker, R)
@@ -134,7 +135,7 @@ def rows_by_truth(rig: Rig, frames: Sequence[MarkerFrame], truth: Sequence[Truth
     known = [(each.t_ns, each.points[marker]) for each in truth if marker in each.points]
     if len(known) < 2 or not len(t_ns):
         return []
-    camera = CameraModel.from_calibration(next(iter(rig.cameras.values())))
+    camera = camera_model(next(iter(rig.cameras.values())))
     depth_known = camera.to_camera(np.array([place for _, place in known]))[:, 2]
     depth = np.interp(t_ns, np.array([t for t, _ in known], dtype=np.float64), depth_known, np.nan, np.nan)
     depth, disparity = depth[np.isfinite(depth)], disparity[np.isfinite(depth)]

@@ -12,7 +12,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel
-from rhot.rig.calibration import epipolar_limit_px, pair_epipolar_p95_px
+from rhot.quality import epipolar_limit_px, pair_epipolar_p95_px
 from rhot_tools.trial.epipolar_residuals import (
     LEAST_OBSERVATIONS,
     PRIOR_SD_RAD,

@@ -27,6 +27,7 @@ from rhot.offline import marker_frames
 from rhot.recording import load_recording
 from rhot.report.html import figures_table
 from rhot.rig import BusConfig, CamerasFile, Rig, load_rig, read_json_model
+from rhot.rig.cameras import camera_models
 from rhot.rig.folder import CAMERAS_FILE
 from rhot.text import as_argument
 from rhot_calibration.cameras.board.grid import parse_board
@@ -247,7 +248,7 @@ def calibration(
             f"{rig_path / CAMERAS_FILE} is not there, so there is nothing to check; run `rhot calibrate cameras` first"
         )
     file = read_json_model(rig_path / CAMERAS_FILE, CamerasFile)
-    cameras = {name: CameraModel.from_calibration(camera) for name, camera in rig.cameras.items()}
+    cameras = camera_models(rig.cameras)
     if board is not None and recording_path is not None:
         seen = _board_seen(recording_path, board, cameras)
     else:

@@ -23,6 +23,7 @@ from rhot.geometry.camera import CameraModel, rays_meet_ahead
 from rhot.messages import HandPose, MarkerFrame, Message, PointSet, ServiceStatus
 from rhot.report.html import figures_table
 from rhot.rig import Rig
+from rhot.rig.cameras import camera_models
 from rhot.text import printable
 from rhot_tools.trial.calibration_check import CalibrationReport, judge_calibration
 from rhot_tools.trial.epipolar_residuals import LEAST_OBSERVATIONS, Track, TrackGatherer, Tracks, pair_residuals
@@ -108,7 +109,7 @@ class TrialJudge:
 
     def __init__(self, rig: Rig | None = None) -> None:
         self._rig = rig
-        self._cameras = {} if rig is None else {n: CameraModel.from_calibration(c) for n, c in rig.cameras.items()}
+        self._cameras = {} if rig is None else camera_models(rig.cameras)
         self._tracks = TrackGatherer(self._cameras)
         self._seen: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self._frames: Counter[str] = Counter()

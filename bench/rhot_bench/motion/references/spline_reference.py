@@ -14,9 +14,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rhot.arrays import FloatArray, IntArray
-from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame
 from rhot.rig import Rig
+from rhot.rig.cameras import camera_model
 from rhot_tools.measures.points import MEASURED, Estimates
 
 # The markers of many frames as arrays: one row per camera, marker and frame, lenses undone.
@@ -49,7 +49,7 @@ class Views:
 
 def views_of(frames: Sequence[MarkerFrame], rig: Rig) -> Views:
     """Return all observations of marker frames as the rig's own calibration reads them."""
-    models = [CameraModel.from_calibration(camera) for camera in rig.cameras.values()]
+    models = [camera_model(camera) for camera in rig.cameras.values()]
     index = {name: number for number, name in enumerate(rig.cameras)}
     markers = {name: number for number, name in enumerate(rig.config.markers)}
     rows = [

@@ -10,10 +10,10 @@ import numpy as np
 from rhot.anatomy.skeleton import CHAINS, FINGERS
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
-from rhot.geometry.camera import CameraModel
 from rhot.messages import FacedShape, HandPose, Message, ObjectPose, Side
 from rhot.object_mesh import configured_mesh
 from rhot.rig import Rig
+from rhot.rig.cameras import camera_model
 from rhot.rig.marker_config import MeshConfig
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.faces import face_named, usual_faces
@@ -118,7 +118,7 @@ def touch_task(
         raise ConfigError(f"{toml}: no marker is on the {chosen} {finger} finger's tip; touch with a painted finger")
     named = [face_named(shape, text) for text in faces.split(",") if text.strip()] or usual_faces(shape)
     plan = [face for face in named for _ in range(per_face * (_ROUND if face in ("side", "anywhere") else 1))]
-    eye = np.mean([CameraModel.from_calibration(camera).center for camera in rig.cameras.values()], axis=0)
+    eye = np.mean([camera_model(camera).center for camera in rig.cameras.values()], axis=0)
     source = rig.config.objects[object_id].source
     registration = Registration.from_file(rig.registration_of(source))
     return TouchTask(object_id, source, shape, chosen, finger, tuple(plan), registration, eye)

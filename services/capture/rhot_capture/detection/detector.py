@@ -12,11 +12,10 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from rhot.anatomy.markers import Marker, own_paints, worn_paints
 from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
 from rhot.geometry.hull import Region
-from rhot.rig.config import MarkerConfig
-from rhot.rig.marker_config import own_paints, worn_paints
 from rhot_capture.detection.blob import Blob, Outsized, blobs_of
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reason, Refusal, judge, likeliest
 from rhot_capture.detection.color_table import ColorTable
@@ -34,7 +33,7 @@ from rhot_capture.detection.track import MarkerTrack, find_regions
 class MarkerDetector:
     """Detects all markers in the frames of one camera."""
 
-    def __init__(self, markers: Mapping[str, MarkerConfig], table: ColorTable, width: int, height: int) -> None:
+    def __init__(self, markers: Mapping[str, Marker], table: ColorTable, width: int, height: int) -> None:
         """Build the detector for frames of one size.
 
         Args:

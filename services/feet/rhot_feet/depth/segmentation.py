@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot.messages import Side
+from rhot.types import Side
 from rhot_feet.depth.plane import FINE_PX, FloorPlane, Mask, PointGrid
 
 # Visible part of a foot's surface, which the other knee and the foot's own shank often occlude.

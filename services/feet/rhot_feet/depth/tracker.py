@@ -17,7 +17,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.hull import Region
 from rhot.geometry.rotations import cross_matrix
-from rhot.messages import Side
+from rhot.types import Side
 from rhot_feet.depth.plane import COARSE_PX, FINE_PX, FloorPlane, PixelRays, PointGrid, find_floor
 from rhot_feet.depth.segmentation import (
     RADIUS_M,

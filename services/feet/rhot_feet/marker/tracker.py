@@ -16,7 +16,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.geometry.covariances import squared_distance
 from rhot.geometry.hull import Region
 from rhot.geometry.rotations import rotation_between
-from rhot.messages import Side
+from rhot.types import Side
 from rhot_feet.depth.plane import DepthPlane, FloorPlane, fit_depth_plane
 from rhot_feet.frames import DepthFrame
 from rhot_feet.marker.detection import MarkerDetection, MarkerFinder

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from rhot.anatomy.hand import HandModel
+from rhot.anatomy.hand_proportions import HandMeasures
+from rhot.anatomy.markers import Marker
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
-from rhot.messages import Position
-from rhot.rig import FusionConfig, Rig
+from rhot.types import Vector3
 from rhot_fusion.filter.initialisation import InitialState, View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.smoothing.record import HandRecord
@@ -32,7 +33,7 @@ from rhot_fusion.filter.tracks import (
     TrackStatus,
 )
 from rhot_fusion.schedule import Schedule
-from rhot_fusion.views.sightings import HandCoherence, Sightings, Vector
+from rhot_fusion.views.sightings import HandCoherence, Sightings, TrackingLimits, Vector
 
 _DEPTH_MARKERS: Final = 1
 """Markers of a hand required to estimate its depth; in a grasp the patch is often the only one."""
@@ -86,7 +87,7 @@ class Candidates:
         velocity: FloatArray,
         known: FloatArray,
         alive: BoolArray,
-        volume_m: tuple[Position, Position],
+        volume_m: tuple[Vector3, Vector3],
     ) -> InitialState | None:
         """Return a marker's initial state from views of different cameras, if they agree on a plausible position.
 
@@ -176,7 +177,7 @@ class Acquisition:
     """Adds M markers to the filters of their hands and removes them.
 
     Attributes:
-        config: volume, and how long unseen markers are kept; may be replaced.
+        limits: volume, and how long unseen markers are kept; may be replaced.
         tracks: (M,) of all markers.
         hand_of: per marker, its hand and its index among that hand's markers.
         begun: number of initialisations so far; filter states before and after one are not comparable.
@@ -188,12 +189,12 @@ class Acquisition:
         cameras: Sequence[CameraModel],
         coherence: HandCoherence,
         schedule: Schedule,
-        config: FusionConfig,
+        limits: TrackingLimits,
         settings: TrackSettings,
         counts: Counter[str],
     ) -> None:
         """Start without markers; increments `behind_cameras` and `gated` of counts."""
-        self.config = config
+        self.limits = limits
         self.hand_of = {int(m): (hand, k) for hand in hands for k, m in enumerate(hand.index)}
         self.tracks = [Track(len(cameras)) for _ in self.hand_of]
         self.begun = 0
@@ -270,8 +271,8 @@ class Acquisition:
 
     def forget(self, t_s: float) -> None:
         """Remove markers that are unseen and too uncertain, unseen for too long, or outside the volume."""
-        (x0, y0, z0), (x1, y1, z1) = self.config.volume_m
-        hold_s, lost_m2 = self.config.hold_s, LOST_M**2
+        (x0, y0, z0), (x1, y1, z1) = self.limits.volume_m
+        hold_s, lost_m2 = self.limits.hold_s, LOST_M**2
         for hand in self._hands:
             known = hand.filter.state.alive.tolist()
             columns = hand.markers, known, hand.filter.position.tolist(), hand.filter.spread_m2
@@ -303,7 +304,7 @@ class Acquisition:
     def _initial_state(
         self, marker: int, near: dict[int, View], t_s: float, velocity: FloatArray
     ) -> InitialState | None:
-        volume_m = self.config.volume_m
+        volume_m = self.limits.volume_m
         return self._candidates.initial_state(marker, list(near.values()), t_s, velocity, *self._positions(), volume_m)
 
     def _is_recent(self, then_s: float, t_s: float) -> bool:
@@ -318,9 +319,11 @@ class Acquisition:
         return known, alive
 
 
-def hands_of(rig: Rig, cameras: Sequence[CameraModel], *, record: bool) -> list[Hand]:
-    """Return the hands of a rig; `record` keeps their frames."""
-    names, markers = list(rig.config.markers), list(rig.config.markers.values())
+def hands_of(
+    described: Mapping[str, Marker], measures: HandMeasures, cameras: Sequence[CameraModel], *, record: bool
+) -> list[Hand]:
+    """Return the hands that wear the described markers; `record` keeps their frames."""
+    names, markers = list(described), list(described.values())
     sides = np.array([marker.hand for marker in markers])
     hands = []
     for side in np.unique(sides):
@@ -332,9 +335,9 @@ def hands_of(rig: Rig, cameras: Sequence[CameraModel], *, record: bool) -> list[
         across = (joints.index(ends[0]), joints.index(ends[1])) if set(ends) <= set(joints) else None
         beside_m, reach_m = [0.0] * len(index), [0.0] * len(index)
         if base >= 0:
-            model = HandModel.from_file(rig.hand, markers[int(index[0])].hand)
+            model = HandModel.from_file(measures, markers[int(index[0])].hand)
             # All angles zero: the flat open hand.
-            flat = model.marker_positions(model.forward(np.eye(4), np.zeros((5, 4))), rig.config.markers)
+            flat = model.marker_positions(model.forward(np.eye(4), np.zeros((5, 4))), described)
             patch, *tips = (flat[names[int(index[k])]] for k in (base, *(across or ())))
             sense = np.sign(model.knuckles[1, 0] - model.knuckles[4, 0])
             aside = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0]) if tips else np.zeros(3)
@@ -352,12 +355,12 @@ def hands_of(rig: Rig, cameras: Sequence[CameraModel], *, record: bool) -> list[
     return hands
 
 
-def radii_of(rig: Rig) -> FloatArray:
+def radii_of(markers: Mapping[str, Marker], measures: HandMeasures) -> FloatArray:
     """Return the radii (M,) of the painted fingertips, metres; 0 for markers of another kind."""
     radii = []
-    for marker in rig.config.markers.values():
+    for marker in markers.values():
         tip = marker.kind == "cap" and marker.joint.endswith("_tip")
         radii.append(
-            float(HandModel.from_file(rig.hand, marker.hand).radii[JOINTS.index(marker.joint)]) if tip else 0.0
+            float(HandModel.from_file(measures, marker.hand).radii[JOINTS.index(marker.joint)]) if tip else 0.0
         )
     return np.array(radii)

@@ -15,7 +15,7 @@ import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel, rays_meet_ahead
-from rhot.rig.calibration import epipolar_limit_px
+from rhot.quality import epipolar_limit_px
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.epipolar import DEPTH, LONGEST_GAP, ROWS_SHARE, EpipolarModel, Tracks
 from rhot_fusion.views.sightings import Sightings

@@ -15,7 +15,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot.rig.calibration import figure
+from rhot.quality import figure
 from rhot_fusion.filter.state import Innovation
 from rhot_fusion.views.sightings import Upper, Vector, interpolated, vector
 

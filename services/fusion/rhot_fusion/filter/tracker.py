@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, compress
+from itertools import compress
 from statistics import fmean
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rhot.anatomy.hand_proportions import HandMeasures
+from rhot.anatomy.markers import Marker
 from rhot.arrays import FloatArray, IndexArray
-from rhot.geometry.camera import CameraModel
-from rhot.rig import FusionConfig, Rig
-from rhot.rig.calibration import pair_epipolar_p95_px
+from rhot.geometry.camera import CameraModel, CameraRig
+from rhot.quality import pair_epipolar_p95_px
 from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.paint import Paint, PaintBefore
@@ -37,7 +38,7 @@ from rhot_fusion.filter.tracks import (
 )
 from rhot_fusion.schedule import Schedule
 from rhot_fusion.views.epipolar import EpipolarModel
-from rhot_fusion.views.sightings import NOTHING, NOWHERE, HandCoherence, Outcome, Sightings, vector
+from rhot_fusion.views.sightings import NOTHING, NOWHERE, HandCoherence, Outcome, Sightings, TrackingLimits, vector
 
 # Paint corrections of the views in a recording, recomputed from the smoothed marker positions.
 
@@ -125,9 +126,10 @@ class FilterTracker:
 
     def __init__(
         self,
-        rig: Rig,
-        cameras: Sequence[CameraModel],
-        config: FusionConfig,
+        rig: CameraRig,
+        markers: Mapping[str, Marker],
+        hand: HandMeasures,
+        limits: TrackingLimits,
         counts: Counter[str],
         *,
         record: bool = False,
@@ -138,18 +140,18 @@ class FilterTracker:
         Increments `measured`, `refused`, `late_frames`, `too_late`, `gated` and `behind_cameras` of counts.
         """
         self._settings = settings or (CALIBRATED if rig.calibrated else UNCALIBRATED)
-        self._cameras, self._config, self._counts = list(cameras), config, counts
-        names, markers, self._count = list(rig.cameras), rig.config.markers, len(rig.config.markers)
-        self._hands = hands_of(rig, self._cameras, record=record)
-        self._schedule = Schedule([1.0 / camera.rate_hz for camera in rig.config.cameras.values()])
-        coherence = HandCoherence(markers, rig.hand.length_m)
-        self._acquisition = Acquisition(self._hands, cameras, coherence, self._schedule, config, self._settings, counts)
-        self.noise = CameraNoise(cameras, stated_px(names, rig.quality), rig.calibrated)
-        stated = [pair_epipolar_p95_px(rig.quality, a, b) or 0.0 for a, b in combinations(names, 2)]
+        cameras = self._cameras = list(rig.models)
+        self._limits, self._counts, self._count = limits, counts, len(markers)
+        self._hands = hands_of(markers, hand, cameras, record=record)
+        self._schedule = Schedule([1.0 / rate_hz for rate_hz in rig.rates_hz])
+        coherence = HandCoherence(markers, hand.length_m)
+        self._acquisition = Acquisition(self._hands, cameras, coherence, self._schedule, limits, self._settings, counts)
+        self.noise = CameraNoise(cameras, stated_px(rig.names, rig.quality), rig.calibrated)
+        stated = [pair_epipolar_p95_px(rig.quality, a, b) or 0.0 for a, b in rig.pairs()]
         self.agreement = CameraAgreement(
-            cameras, self._count, config.epipolar_limit_px, rig.calibrated, max(stated, default=0.0)
+            cameras, self._count, limits.epipolar_limit_px, rig.calibrated, max(stated, default=0.0)
         )
-        radii = radii_of(rig)
+        radii = radii_of(markers, hand)
         calibration_px = float(self.noise.calibration_px.max())
         self._radii, self._paint = radii, Paint(cameras, radii)
         self._systematic = Systematic(cameras, rig.quality, calibration_px, radii)
@@ -179,10 +181,10 @@ class FilterTracker:
         """Return a camera's focal length, pixels."""
         return float(self._cameras[camera].K[0, 0])
 
-    def configure(self, config: FusionConfig) -> None:
+    def configure(self, limits: TrackingLimits) -> None:
         """Change the settings."""
-        self._config = self._acquisition.config = config
-        self.epipolar.set_limit(config.epipolar_limit_px)
+        self._limits = self._acquisition.limits = limits
+        self.epipolar.set_limit(limits.epipolar_limit_px)
 
     def clear(self) -> None:
         """Discard all markers; estimated camera residuals and noise are kept."""
@@ -213,7 +215,7 @@ class FilterTracker:
     def outcome(self, t_s: float) -> Outcome:
         """Return the markers at a time not before the filter's, plus the configured prediction interval."""
         self._acquisition.forget(t_s)
-        then_s = t_s + self._config.predict_s
+        then_s = t_s + self._limits.predict_s
         # A camera counts as seeing the markers in its newest frame while that frame is fresh.
         newest_s, nobody = zip(self._schedule.newest_s, self._fresh_s(), strict=True), [False] * len(self._cameras)
         since_s = [seen_s if t_s - seen_s <= lasts else math.inf for seen_s, lasts in newest_s]

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot.messages import PointState
+from rhot.types import PointState
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.views.sightings import Outcome, Upper, Vector, unit
 

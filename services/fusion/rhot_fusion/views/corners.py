@@ -12,15 +12,35 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from rhot.anatomy.markers import Marker
 from rhot.geometry.camera import CameraModel
-from rhot.messages import MarkerFrame, PixelPoint, Position
-from rhot.rig import MarkerConfig
+from rhot.types import Pixels, Vector3
 from rhot_fusion.views.sightings import Vector, dot, vector
 
-Corners = tuple[Position, Position, Position, Position]
+Corners = tuple[Vector3, Vector3, Vector3, Vector3]
+
+
+class PatchView(Protocol):
+    """A marker as one camera sees it; `rhot.messages.Marker` is one."""
+
+    @property
+    def u(self) -> float:
+        """Column of the centre, pixels."""
+        ...
+
+    @property
+    def v(self) -> float:
+        """Row of the centre, pixels."""
+        ...
+
+    @property
+    def corners(self) -> tuple[Pixels, ...] | None:
+        """Corners of a patch, pixels, in order around it."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +79,7 @@ class PatchCorners:
         names: markers that are rectangles of known size.
     """
 
-    def __init__(self, markers: Mapping[str, MarkerConfig], cameras: Sequence[CameraModel]) -> None:
+    def __init__(self, markers: Mapping[str, Marker], cameras: Sequence[CameraModel]) -> None:
         sizes = {
             name: sorted(marker.size_m) for name, marker in markers.items() if marker.kind == "patch" and marker.size_m
         }
@@ -74,12 +94,12 @@ class PatchCorners:
         self._observed: dict[tuple[str, int], _Observation] = {}
         self._shift: dict[tuple[str, int, int], int] = {}
 
-    def listed(self, camera: int, frame: MarkerFrame) -> dict[str, tuple[PixelPoint, ...]]:
-        """Return centre and corners, pixels, of the patches of a frame that are completely inside the image."""
+    def listed(self, camera: int, seen: Mapping[str, PatchView]) -> dict[str, tuple[Pixels, ...]]:
+        """Return centre and corners, pixels, of the patches of a frame that are entirely inside the image."""
         model = self._cameras[camera]
-        listed: dict[str, tuple[PixelPoint, ...]] = {}
+        listed: dict[str, tuple[Pixels, ...]] = {}
         for name in self.names:
-            marker = frame.markers.get(name)
+            marker = seen.get(name)
             if marker is not None and marker.corners is not None:
                 points = ((marker.u, marker.v), *marker.corners)
                 if all(-0.5 < u < model.width - 0.5 and -0.5 < v < model.height - 0.5 for u, v in points):

@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rhot.anatomy.markers import Marker
 from rhot.arrays import BoolArray, FloatArray, IndexArray
-from rhot.messages import PointState
-from rhot.rig import FusionConfig, MarkerConfig
+from rhot.types import PointState
 from rhot_fusion.views.epipolar import EpipolarModel
 
 # Gate points by their distance from the other markers of the same hand.
@@ -32,7 +32,7 @@ class HandCoherence:
         company: (M, M) the same as a matrix: 1 = same hand, 0 = other hand or the marker itself.
     """
 
-    def __init__(self, markers: Mapping[str, MarkerConfig], hand_length_m: float) -> None:
+    def __init__(self, markers: Mapping[str, Marker], hand_length_m: float) -> None:
         sides = np.array([marker.hand for marker in markers.values()])
         self._hands: list[IndexArray] = [np.flatnonzero(sides == side) for side in np.unique(sides)]
         self._hand_of: IndexArray = np.searchsorted(np.unique(sides), sides)
@@ -173,6 +173,30 @@ class Outcome:
     state: list[PointState] | None = None
 
 
+class TrackingLimits(Protocol):
+    """What a user sets of the tracking of points; `rhot.rig.FusionConfig` is one."""
+
+    @property
+    def volume_m(self) -> tuple[Vector, Vector]:
+        """Lowest and highest corner of the space where hands can be, rig frame."""
+        ...
+
+    @property
+    def hold_s(self) -> float:
+        """How long a marker that no camera sees is kept, seconds."""
+        ...
+
+    @property
+    def predict_s(self) -> float:
+        """How far ahead points are predicted, seconds."""
+        ...
+
+    @property
+    def epipolar_limit_px(self) -> float:
+        """Epipolar residual above which two cameras' views of a marker contradict each other, pixels."""
+        ...
+
+
 class Tracker(Protocol):
     """Computes points from observations; each method of fusion is a tracker.
 
@@ -182,7 +206,7 @@ class Tracker(Protocol):
 
     epipolar: EpipolarModel
 
-    def configure(self, config: FusionConfig) -> None:
+    def configure(self, limits: TrackingLimits) -> None:
         """Change the settings; the method must be the same."""
         ...
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.hull import plane_distance
-from rhot.geometry.rotations import rigid, rotation_from_quaternion
-from rhot.messages import BoxShape, CylinderShape, MeshShape, ObjectPose, ObjectShape
 
 
 class Shape(Protocol):
@@ -103,25 +101,6 @@ class Hull:
         R = self.T_rig_hull[:3, :3]
         distance, out = plane_distance(self.planes, (points - self.T_rig_hull[:3, 3]) @ R)
         return distance, out @ R.T
-
-
-def shape_of(pose: ObjectPose) -> Shape | None:
-    """Return the body that an object's pose and shape describe; none where its shape is not known."""
-    if pose.shape is None:
-        return None
-    T = rigid(rotation_from_quaternion(np.array(pose.orientation)), np.array(pose.position))
-    return body_of(pose.shape, T)
-
-
-def body_of(shape: ObjectShape, T_rig_object: FloatArray) -> Shape:
-    """Return the body of a shape whose middle stands at a pose (4, 4)."""
-    if isinstance(shape, BoxShape):
-        return Box(T_rig_object, np.array(shape.size))
-    if isinstance(shape, CylinderShape):
-        return Cylinder(T_rig_object, shape.radius, shape.height)
-    if isinstance(shape, MeshShape):
-        return Hull(T_rig_object, np.array(shape.planes))
-    return Sphere(T_rig_object[:3, 3], shape.radius)
 
 
 def _of_slabs(beyond: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot.messages import Side
+from rhot.types import Side
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.solver import HandSolver
 

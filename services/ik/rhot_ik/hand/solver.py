@@ -9,11 +9,11 @@ from typing import Final, Protocol
 import numpy as np
 
 from rhot.anatomy.hand import HandModel, patch_outline
+from rhot.anatomy.markers import Marker
 from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.plugins import load_plugin
-from rhot.rig import IkConfig, MarkerConfig
 from rhot_ik.hand.blending import blended, with_own_motion
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
@@ -204,6 +204,25 @@ class FingerMethod(Protocol):
         ...
 
 
+class SolverOptions(Protocol):
+    """How points become a hand; `rhot.rig.IkConfig` is one."""
+
+    @property
+    def solver(self) -> str:
+        """`filter`, or another finger solver among `rhot.methods`."""
+        ...
+
+    @property
+    def options(self) -> Mapping[str, float | str | tuple[float, ...]]:
+        """Of that solver."""
+        ...
+
+    @property
+    def hold_s(self) -> float:
+        """How long a hand whose points are gone is held, seconds."""
+        ...
+
+
 class HandSolver:
     """Solves one hand sample by sample; reads no clock.
 
@@ -218,9 +237,9 @@ class HandSolver:
     def __init__(
         self,
         model: HandModel,
-        markers: Mapping[str, MarkerConfig],
+        markers: Mapping[str, Marker],
         base: str,
-        config: IkConfig,
+        config: SolverOptions,
         viewpoint: FloatArray | None = None,
     ) -> None:
         self._geometry = FingerGeometry.of(model, markers)
@@ -240,7 +259,7 @@ class HandSolver:
         self._person: tuple[FloatArray, FloatArray] | None = None
 
     @property
-    def config(self) -> IkConfig:
+    def config(self) -> SolverOptions:
         """How points become a hand; another finger solver than the filter comes from `rhot.methods`.
 
         Raises:
@@ -249,7 +268,7 @@ class HandSolver:
         return self._config
 
     @config.setter
-    def config(self, config: IkConfig) -> None:
+    def config(self, config: SolverOptions) -> None:
         self._fingers: FingerMethod | None = None
         if config.solver != "filter":
             make = load_plugin("rhot.methods", f"ik.{config.solver}", f'[ik] solver = "{config.solver}"', "bench")

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from rhot.geometry.rotations import (
     rotation_from_vector,
     shortest_rotation,
 )
-from rhot.messages import FootPose, State
+from rhot.types import State, Vector3
 from rhot_ik.legs.hips import Ankle
 
 _RATE: Final = 5.0
@@ -93,6 +93,45 @@ class _Sample:
     stands: bool
 
 
+class FootSample(Protocol):
+    """One pose of a foot; `rhot.messages.FootPose` is one."""
+
+    @property
+    def t_ns(self) -> int:
+        """Time, nanoseconds, rig clock."""
+        ...
+
+    @property
+    def position(self) -> Vector3:
+        """Origin of the foot, metres, rig frame."""
+        ...
+
+    @property
+    def orientation(self) -> tuple[float, float, float, float]:
+        """x, y, z, w, rotates the foot's axes into the rig frame."""
+        ...
+
+    @property
+    def velocity(self) -> Vector3:
+        """m/s, rig frame."""
+        ...
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the position, metres."""
+        ...
+
+    @property
+    def state(self) -> State:
+        """Whether it is measured."""
+        ...
+
+    @property
+    def stationary(self) -> bool:
+        """The foot stands."""
+        ...
+
+
 class FootTrack:
     """Follows one foot.
 
@@ -114,7 +153,7 @@ class FootTrack:
         self._velocity = np.zeros(3)
         self._t_ns = 0
 
-    def update(self, foot: FootPose) -> None:
+    def update(self, foot: FootSample) -> None:
         """Update with a pose of the foot."""
         R_rig_foot = rotation_from_quaternion(np.array(foot.orientation))
         position = R_rig_foot @ self._ankle_m + np.array(foot.position)

@@ -23,7 +23,7 @@ import numpy as np
 from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rigid
-from rhot.messages import Side
+from rhot.types import Side
 
 # One leg in closed form: a thigh and a shank on a hinge, between a hip joint and an ankle.
 #

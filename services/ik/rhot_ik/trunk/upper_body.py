@@ -11,7 +11,7 @@ import numpy as np
 from rhot.anatomy.body_proportions import SPINE_SHARES, BodyModel
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rigid, rotation_y, shortest_rotation
-from rhot.messages import Side
+from rhot.types import Side
 from rhot_ik.legs.hips import OUTWARDS, bend_leg
 
 # The spine between hips and neck, as a chain of three bones.

@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 import viser
 
+from rhot.anatomy.markers import worn_paints
 from rhot.errors import RhotError
 from rhot.rig import Rig
 from rhot.rig.calibration import CameraCalibration
 from rhot.rig.colors import GaussianColor, HsvRangeColor, MarkerColor, load_colors
-from rhot.rig.marker_config import worn_paints
 from rhot_viewer.scene.instances import Rgb
 from rhot_viewer.scene.viewpoint import PicturePlane
 

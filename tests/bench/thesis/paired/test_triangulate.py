@@ -7,6 +7,7 @@ from marker_streams import pinhole_cameras
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
+from rhot.rig.cameras import camera_model
 from rhot_bench.thesis.paired.marker_states import Prior, Triangulation, Views
 
 DISTORTION = np.array([0.19, -0.48, 0.001, -0.0007, 0.30])
@@ -14,7 +15,7 @@ SIGMA = 1e-3
 
 
 def cameras(count: int, distortion: FloatArray | None = None) -> list[CameraModel]:
-    return [CameraModel.from_calibration(camera) for camera in pinhole_cameras(count, distortion).values()]
+    return [camera_model(camera) for camera in pinhole_cameras(count, distortion).values()]
 
 
 def seen(models: list[CameraModel], points: FloatArray, noise_px: float = 0.0, seed: int = 0) -> FloatArray:

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
-from rhot.geometry.camera import CameraModel
 from rhot.rig import CameraConfig, HandFile, MarkerConfig
+from rhot.rig.cameras import camera_model
 from rhot.rig.config import SimConfig
 from rhot_calibration.colors.calibration import calibrate
 from rhot_calibration.colors.model.fit import drawn, in_other_light
@@ -60,7 +60,7 @@ def renderer(markers: dict[str, MarkerConfig]) -> Callable[..., Renderer]:
 
     def make(paints: Mapping[str, tuple[float, float, float]], noise: float) -> Renderer:
         sim = SimConfig(noise_sigma=noise, light_drift=0.0)
-        return Renderer(CameraModel.from_calibration(truth), world, sim, config, paints=paints)
+        return Renderer(camera_model(truth), world, sim, config, paints=paints)
 
     return make
 

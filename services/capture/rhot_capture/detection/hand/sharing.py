@@ -15,7 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from rhot.rig.config import MarkerConfig
+from rhot.anatomy.markers import Marker
 from rhot_capture.detection.candidates import Candidate
 
 _REACH_M: Final = 0.20
@@ -74,7 +74,7 @@ def spot_of(candidate: Candidate) -> Spot:
     return Spot(u, v, across, down, candidate.blob.area, candidate.plausibility)
 
 
-def anchor_of(spot: Spot, marker: MarkerConfig) -> Anchor:
+def anchor_of(spot: Spot, marker: Marker) -> Anchor:
     """Return position and scale of a patch."""
     across_m, along_m = marker.size_m or (1.0, 1.0)
     return Anchor(spot.u, spot.v, math.sqrt(spot.area / (across_m * along_m)))
@@ -110,7 +110,7 @@ class SharedPaints:
         markers: of the rig, by name.
     """
 
-    def __init__(self, markers: Mapping[str, MarkerConfig]) -> None:
+    def __init__(self, markers: Mapping[str, Marker]) -> None:
         pairs = {marker.paint_of: name for name, marker in markers.items() if marker.paint_of is not None}
         self.wearers: dict[str, tuple[str, str]] = {paint: (paint, other) for paint, other in pairs.items()}
         shared = {name for pair in self.wearers.values() for name in pair}

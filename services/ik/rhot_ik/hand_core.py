@@ -11,12 +11,24 @@ import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.skeleton import FINGERS, JOINTS
-from rhot.arrays import BoolArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot.core import Explanation, ExplanationRow, Output
 from rhot.geometry.covariances import has_covariance, stated_covariance
-from rhot.messages import FingerAngles, HandPose, ObjectPose, ObjectShape, Point, PointSet, Side
+from rhot.geometry.rotations import rigid, rotation_from_quaternion
+from rhot.messages import (
+    BoxShape,
+    CylinderShape,
+    FingerAngles,
+    HandPose,
+    MeshShape,
+    ObjectPose,
+    ObjectShape,
+    Point,
+    PointSet,
+)
 from rhot.rig import IkConfig, MarkerConfig, Rig
-from rhot_ik.hand.contact import Shape, shape_of
+from rhot.types import Side
+from rhot_ik.hand.contact import Box, Cylinder, Hull, Shape, Sphere
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION, angle_covariance, rest_angles
 from rhot_ik.hand.fingers.closed_form import FingerGeometry, base_marker
@@ -47,7 +59,7 @@ class RepeatedPredictions:
         earlier, before = self._running.get(name, (views, 0))
         times = before + 1 if earlier == views else 1
         self._running[name] = views, times
-        stated = stated_covariance(point)
+        stated = stated_covariance(point.covariance, point.sigma)
         return stated if views == 2 else tuple(times * value for value in stated)
 
 
@@ -378,7 +390,7 @@ class HandCore:
         point = points.points.get(name)
         if point is None:
             return None
-        if not has_covariance(point):
+        if not has_covariance(point.covariance, point.sigma):
             self._counts["no_covariance"] += 1
             return None
         x, y, z = point.position
@@ -421,3 +433,22 @@ def hand_pose(points: PointSet, model: HandModel, solution: HandSolution, *, fit
             "state": "measured" if solution.palm_measured and any(measured) else "predicted",
         }
     )
+
+
+def shape_of(pose: ObjectPose) -> Shape | None:
+    """Return the body that an object's pose and shape describe; none where its shape is not known."""
+    if pose.shape is None:
+        return None
+    T = rigid(rotation_from_quaternion(np.array(pose.orientation)), np.array(pose.position))
+    return body_of(pose.shape, T)
+
+
+def body_of(shape: ObjectShape, T_rig_object: FloatArray) -> Shape:
+    """Return the body of a shape whose middle stands at a pose (4, 4)."""
+    if isinstance(shape, BoxShape):
+        return Box(T_rig_object, np.array(shape.size))
+    if isinstance(shape, CylinderShape):
+        return Cylinder(T_rig_object, shape.radius, shape.height)
+    if isinstance(shape, MeshShape):
+        return Hull(T_rig_object, np.array(shape.planes))
+    return Sphere(T_rig_object[:3, 3], shape.radius)

@@ -12,20 +12,10 @@ from rhot.anatomy.body_proportions import BodyModel
 from rhot.arrays import FloatArray
 from rhot.core import Output
 from rhot.geometry.rotations import quaternion_from_rotation, rigid, rotation_from_quaternion
-from rhot.messages import (
-    BodyJoint,
-    BodyPose,
-    FootPose,
-    HandPose,
-    HeadPose,
-    LegAngles,
-    Position,
-    Quaternion,
-    Side,
-    State,
-)
+from rhot.messages import BodyJoint, BodyPose, FootPose, HandPose, HeadPose, LegAngles, Position, Quaternion
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import Rig
+from rhot.types import Side, State
 from rhot_ik.legs.foot_track import LEAD_S, FootTrack, HipMotion
 from rhot_ik.legs.hips import OUTWARDS, Ankle, LegPose, bend_leg, hip_joint, hips_under_head, stride, within_reach
 from rhot_ik.trunk.upper_body import solve_upper_body

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from rhot.anatomy.markers import own_paints
 from rhot.arrays import ImageArray
 from rhot.core import Explanation, ExplanationRow, Outline, PictureExplanation, Verdict
 from rhot.errors import ConfigError
@@ -19,7 +20,6 @@ from rhot.recording import PictureTrack, VideoTrack
 from rhot.recording.camera_picture import jpeg_of
 from rhot.rig import MarkerConfig, Rig
 from rhot.rig.colors import load_colors
-from rhot.rig.marker_config import own_paints
 from rhot_capture.detection.blob import Blob
 from rhot_capture.detection.candidates import MIN_FILL, MIN_PLAUSIBILITY, MIN_SOLIDITY, Candidate, Reason, Refusal
 from rhot_capture.detection.color_table import build_color_table
