@@ -13,7 +13,7 @@ from rich.progress import Progress
 from rhot.cli.options import FiniteRange
 from rhot.rig import Rig
 from rhot_bench.speed.bridges import bridges_section
-from rhot_bench.speed.cores import Scene, capture_section, fusion_section, ik_section, pipeline_section
+from rhot_bench.speed.cores import SpeedScene, capture_section, fusion_section, ik_section, pipeline_section
 from rhot_bench.speed.interleaved import Spread
 from rhot_bench.speed.live import live_section
 from rhot_bench.speed.pages import pages_section
@@ -100,7 +100,7 @@ def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) 
     sections: list[Section] = []
     if set(parts) & set(_CORES):
         pictures = progress.add_task("rendering", total=2 * seconds * RATE_HZ)
-        scene = Scene(rig, seconds, lambda: progress.advance(pictures))
+        scene = SpeedScene(rig, seconds, lambda: progress.advance(pictures))
         work = progress.add_task("measuring the cores", total=4 + scaling_steps())
         capture: dict[str, Spread] = {}
         if {"capture", "budget"} & set(parts):

@@ -205,13 +205,13 @@ def locked(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be opened: {error.strerror or error}") from error
     try:
-        _take(handle, folder)
+        _lock(handle, folder)
         yield
     finally:
         os.close(handle)
 
 
-def _take(handle: int, folder: Path) -> None:
+def _lock(handle: int, folder: Path) -> None:
     deadline = time.monotonic() + _LOCK_LIMIT_S
     while True:
         try:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rhot.geometry.rotations import inverse, quaternion_from_rotation, rotation_from_quaternion, rotation_from_vector
 from rhot.messages import Side
 from rhot_bridge.axes import Converter, unity_euler_deg
-from rhot_bridge.scene import Hand, Scene, Thing, tracked
+from rhot_bridge.scene import BridgedHand, Scene, Thing, tracked
 
 SIDES: tuple[Side, Side] = ("left", "right")
 MIRROR = np.diag([1.0, 1.0, -1.0])
@@ -19,10 +19,10 @@ ANGLE = st.floats(-3.1, 3.1)
 
 
 def rig_scene(pose: str) -> Scene:
-    hands: dict[Side, Hand] = {}
+    hands: dict[Side, BridgedHand] = {}
     for side in SIDES:
         hand = tracked(bridge_poses.hand_message(pose, side, 1))
-        assert isinstance(hand, Hand)
+        assert isinstance(hand, BridgedHand)
         hands[side] = hand
     cube = tracked(bridge_poses.object_message(1))
     assert isinstance(cube, Thing)

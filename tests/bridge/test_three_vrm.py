@@ -18,7 +18,7 @@ from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quat
 from rhot.messages import Side
 from rhot_bridge.axes import Converter
 from rhot_bridge.links import UdpLink
-from rhot_bridge.scene import Hand, Scene
+from rhot_bridge.scene import BridgedHand, Scene
 from rhot_bridge.targets.osc import Template, bundles
 from rhot_bridge.targets.vmc import VmcTarget
 from rhot_sim.world.world import World
@@ -88,12 +88,12 @@ def avatar(models: dict[Side, HandModel]) -> dict[str, dict[str, Any]]:
     return bones
 
 
-def grasps(models: dict[Side, HandModel]) -> list[dict[Side, Hand]]:
+def grasps(models: dict[Side, HandModel]) -> list[dict[Side, BridgedHand]]:
     """Both hands while they gesture and grasp in the simulated world, as scenes in the rig's axes hold them."""
     sample = World(3, models, {}, ("cube",)).sample(np.linspace(0.5, 18.0, FRAMES))
     return [
         {
-            side: Hand(
+            side: BridgedHand(
                 frame,
                 "measured",
                 1.0,
@@ -107,7 +107,7 @@ def grasps(models: dict[Side, HandModel]) -> list[dict[Side, Hand]]:
     ]
 
 
-async def received(folder: Path, bones: dict[str, dict[str, Any]], hands: list[dict[Side, Hand]]) -> list[Any]:
+async def received(folder: Path, bones: dict[str, dict[str, Any]], hands: list[dict[Side, BridgedHand]]) -> list[Any]:
     """Send all frames to the receiver and return what it says of each."""
     target, converter = VmcTarget(), Converter("unity", bridge_poses.T_RIG_STAGE)
     (folder / "avatar.json").write_text(json.dumps(bones))
@@ -135,7 +135,7 @@ async def received(folder: Path, bones: dict[str, dict[str, Any]], hands: list[d
     return seen
 
 
-def reach(hand: Hand) -> float:
+def reach(hand: BridgedHand) -> float:
     """How far the tip of the forefinger is from the wrist, metres."""
     return float(np.linalg.norm(hand.positions[JOINTS.index("index_tip")] - hand.positions[JOINTS.index("wrist")]))
 

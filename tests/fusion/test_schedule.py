@@ -4,13 +4,13 @@ from itertools import pairwise
 
 import pytest
 
-from rhot_fusion.schedule import Schedule
+from rhot_fusion.schedule import FrameSchedule
 
 PERIOD = 1.0 / 60.0
 
 
 def play(arrivals: list[tuple[int, float]], share: float, cameras: int = 2) -> list[float | None]:
-    schedule = Schedule([PERIOD] * cameras)
+    schedule = FrameSchedule([PERIOD] * cameras)
     moments = []
     for camera, t_s in arrivals:
         schedule.arrived(camera, t_s)
@@ -70,7 +70,7 @@ def test_moments_increase_strictly_whatever_the_order_of_arrival() -> None:
 
 
 def test_period_is_the_median_interval() -> None:
-    schedule = Schedule([PERIOD])
+    schedule = FrameSchedule([PERIOD])
     for number in (0, 1, 2, 5, 6, 7, 8):
         schedule.arrived(0, number / 30.0)
     assert schedule.period_s(0) == pytest.approx(1.0 / 30.0)

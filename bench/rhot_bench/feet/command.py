@@ -25,7 +25,7 @@ from rhot.report.svg import line_plot
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
 from rhot_bench import processes
-from rhot_bench.feet.runs import COMPUTE_S, LEARN_S, SIDES, STAGES, Played, Run, Track, play
+from rhot_bench.feet.runs import COMPUTE_S, LEARN_S, SIDES, STAGES, FootTrajectory, Played, Run, play
 from rhot_bench.feet.stages import CELLS, TASKS, cell_plots, cell_rows, printed_m, table_5_1, table_5_1_rows
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_tools.measures.output import counted, html_report, json_option, page_option, show
@@ -49,7 +49,7 @@ _AVERAGED: Final = f"measured feet from {SETTLE_S:g} s on, at the pose's own tim
 EXTRA_TASKS: Final = ("on_spot", "walk", "curve", "step_over", "squat")
 """Ours, beside those of the thesis."""
 
-Chosen = Callable[[Played, Track], BoolArray]
+Chosen = Callable[[Played, FootTrajectory], BoolArray]
 Done = Mapping[str, Sequence[Played]]
 
 
@@ -188,21 +188,21 @@ def _of(figure: Callable[[FloatArray], np.floating], values_m: FloatArray) -> fl
     return MM * float(figure(finite)) if len(finite) else float("nan")
 
 
-def _always(played: Played, track: Track) -> BoolArray:
+def _always(played: Played, track: FootTrajectory) -> BoolArray:
     chosen: BoolArray = (played.t_s >= SETTLE_S) & track.measured
     return chosen
 
 
-def _moving(played: Played, track: Track) -> BoolArray:
+def _moving(played: Played, track: FootTrajectory) -> BoolArray:
     return _always(played, track) & (track.speed > MOVING)
 
 
-def _by_depth(played: Played, track: Track) -> BoolArray:
+def _by_depth(played: Played, track: FootTrajectory) -> BoolArray:
     chosen: BoolArray = _moving(played, track) & (track.stage == _DEPTH) & (played.t_s > LEARN_S)
     return chosen
 
 
-def _tracked(played: Played, track: Track) -> BoolArray:
+def _tracked(played: Played, track: FootTrajectory) -> BoolArray:
     return track.measured
 
 
@@ -267,7 +267,7 @@ def save_played(file: Path, key: str, played: Played) -> None:
     arrays |= {name: getattr(played, name) for name in _ARRAYS}
     for tracker in _TRACKERS:
         for side, track in getattr(played, tracker).items():
-            arrays |= {f"{tracker} {side} {part.name}": getattr(track, part.name) for part in fields(Track)}
+            arrays |= {f"{tracker} {side} {part.name}": getattr(track, part.name) for part in fields(FootTrajectory)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     write_atomic(file, buffer.getvalue())
@@ -288,7 +288,9 @@ def _played(stored: dict[str, Any], run: Run, seed: int) -> Played:
     values: dict[str, Any] = {name: stored[name] for name in _ARRAYS} | json.loads(str(stored["values"]))
     for tracker in _TRACKERS:
         values[tracker] = {
-            side: Track(**{part.name: stored[f"{tracker} {side} {part.name}"] for part in fields(Track)})
+            side: FootTrajectory(
+                **{part.name: stored[f"{tracker} {side} {part.name}"] for part in fields(FootTrajectory)}
+            )
             for side in SIDES
         }
     return Played(run=run, seed=seed, **values)

@@ -148,7 +148,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Track:
+class FootTrajectory:
     """One foot through a run, by one tracker.
 
     Attributes:
@@ -198,8 +198,8 @@ class Played:
     seed: int
     t_s: FloatArray
     late_s: FloatArray
-    ours: dict[Side, Track]
-    thesis: dict[Side, Track]
+    ours: dict[Side, FootTrajectory]
+    thesis: dict[Side, FootTrajectory]
     blackouts: FloatArray
     blackout_sides: list[Side]
     picture_s: FloatArray
@@ -225,11 +225,11 @@ class _TrackerOutput:
             self.stage[side].append(STAGES.index(stage))
             self.measured[side].append(measured)
 
-    def track(self, side: Side, world: WalkerWorld, t_s: FloatArray) -> Track:
+    def track(self, side: Side, world: WalkerWorld, t_s: FloatArray) -> FootTrajectory:
         """Return one foot against the truth."""
         truth = world.feet(t_s)[side][:, :3, 3]
         ahead = world.feet(t_s + 1e-3)[side][:, :3, 3]
-        return Track(
+        return FootTrajectory(
             np.array(self.position[side]),
             truth,
             np.array(self.measured[side]),

@@ -19,7 +19,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.report.html import figures_table
 from rhot.report.svg import line_plot
 from rhot.rig.feet_config import WalkProgram
-from rhot_bench.feet.runs import LEARN_S, SIDES, Played, Run, Track
+from rhot_bench.feet.runs import LEARN_S, SIDES, FootTrajectory, Played, Run
 from rhot_tools.measures.rows import Row
 
 # Table 5.1 of the 2021 thesis: its six walking tasks, foot with and without inertial sensor, average, median, worst.
@@ -180,7 +180,7 @@ class Cell:
         """For people."""
         return f"{_TESTS[self.test]}, by {self.stage}"
 
-    def counts(self, played: Played, track: Track) -> BoolArray:
+    def counts(self, played: Played, track: FootTrajectory) -> BoolArray:
         """Return (N,) the moments of a run that count for a foot."""
         t_s = played.t_s
         if self.stage == "marker":

@@ -104,7 +104,7 @@ MILLI: Final = 1e3
 MICRO: Final = 1e6
 
 
-class Scene:
+class SpeedScene:
     """Pictures of a simulated rig, rendered once, for all measurements.
 
     Args:
@@ -142,7 +142,7 @@ def points_of(core: FusionCore, frames: Sequence[MarkerFrame]) -> list[PointSet]
     return [cast(PointSet, points) for frame in frames for _, points in core.feed(frame)]
 
 
-def capture_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
+def capture_section(scene: SpeedScene) -> tuple[Section, dict[str, Spread]]:
     """Time the finding of markers in one camera's pictures, tracked and searched, turn by turn."""
     first = next(iter(scene.rig.config.cameras))
     ours, searching, unrolled, plain = (Capture(scene.rig).detectors[first] for _ in range(4))
@@ -180,7 +180,7 @@ def capture_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
     return Section("Capture: one 640x480 frame", rows), spreads
 
 
-def fusion_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
+def fusion_section(scene: SpeedScene) -> tuple[Section, dict[str, Spread]]:
     """Time one camera frame through fusion."""
     core = FusionCore(scene.rig)
     first = next(iter(true_cameras(scene.rig).values()))
@@ -225,7 +225,7 @@ def _vector(values: FloatArray) -> Vector:
     return (x, y, z)
 
 
-def ik_section(scene: Scene) -> tuple[Section, dict[str, Spread]]:
+def ik_section(scene: SpeedScene) -> tuple[Section, dict[str, Spread]]:
     """Time five fingers, and a whole hand from a point set, beside FABRIK finger by finger."""
     side = scene.rig.config.sides[0]
     model = HandModel.from_file(scene.rig.hand, side)
@@ -263,7 +263,7 @@ def _middle_mm(found: FloatArray, true: FloatArray) -> float:
     return float(np.linalg.norm(found - true, axis=-1)[..., 1:3].mean() * 1e3)
 
 
-def pipeline_section(scene: Scene) -> tuple[Section, Spread]:
+def pipeline_section(scene: SpeedScene) -> tuple[Section, Spread]:
     """Time the way from a picture in memory to the encoded pose in one process, both cameras' frames in a row."""
     capture, fusion, ik = Capture(scene.rig), FusionCore(scene.rig), HandCore(scene.rig)
     sent: list[int] = []

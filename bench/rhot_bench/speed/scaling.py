@@ -21,7 +21,7 @@ from rhot.rig.colors import load_colors
 from rhot.rig.folder import CAMERAS_FILE, RIG_FILE, load_config, write_text_atomic
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
-from rhot_bench.speed.cores import MICRO, MILLI, Advance, Scene, points_of
+from rhot_bench.speed.cores import MICRO, MILLI, Advance, SpeedScene, points_of
 from rhot_bench.speed.interleaved import lockstep
 from rhot_bench.speed.simulated import projected_frames, with_cameras, with_rate, world_of
 from rhot_capture.detection.color_table import build_color_table
@@ -150,7 +150,7 @@ def bare_rig(folder: Path, cameras: int, hands: int) -> Rig:
     return load_rig(folder)
 
 
-def capture_growth(scene: Scene) -> tuple[Row, ...]:
+def capture_growth(scene: SpeedScene) -> tuple[Row, ...]:
     """Return the cost of a frame for one, three and all markers."""
     names = list(own_paints(scene.rig.config.markers))
     colors = load_colors(scene.rig.colors_path)
@@ -223,7 +223,7 @@ def growth_row(name: str, sizes: Sequence[float], costs: Sequence[float]) -> Row
     return Row(name, slope, most=SLACK, note=f"1 is linear; up to {SLACK:g} for noise of the measurement")
 
 
-def scaling_section(scene: Scene, seconds: float, advance: Advance) -> Section:
+def scaling_section(scene: SpeedScene, seconds: float, advance: Advance) -> Section:
     """Return the table of growth."""
     with tempfile.TemporaryDirectory(prefix="rhot-bench-") as folder:
         rows = (*capture_growth(scene), *camera_growth(Path(folder), seconds, advance))

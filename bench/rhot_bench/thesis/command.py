@@ -20,7 +20,7 @@ from rhot.offline import track
 from rhot.rig import Rig
 from rhot_bench.measures.hands import START_NS
 from rhot_bench.processes import read_table
-from rhot_bench.speed.cores import MILLI, Scene, capture_section
+from rhot_bench.speed.cores import MILLI, SpeedScene, capture_section
 from rhot_bench.speed.simulated import Cameras, Capture, moments
 from rhot_bench.thesis.capture import ThesisDetector
 from rhot_bench.thesis.ik import law_depth_m
@@ -45,7 +45,7 @@ _SETTLE_S: Final = 0.2
 _LAW_CORRECTED: Final = "thesis: 1–3 % after correction, up to 5 % before"
 
 
-def timing_section(scene: Scene) -> Section:
+def timing_section(scene: SpeedScene) -> Section:
     """Return the thesis's table of stage times beside ours, both on this machine."""
     _, spreads = capture_section(scene)
     ours, theirs = spreads["ours tracked"].median, spreads["thesis tracked"].median
@@ -264,7 +264,7 @@ def thesis(data_path: Path | None, quick: bool, json_path: Path | None, rig_path
         simulated_rig(rig_path, progress) as rig,
     ):
         rendering = progress.add_task("time of a frame", total=round(2 * span_s * RATE_HZ))
-        scene = Scene(rig, span_s, lambda: progress.advance(rendering))
+        scene = SpeedScene(rig, span_s, lambda: progress.advance(rendering))
         sections = [timing_section(scene)]
         still = progress.add_task("still hand", total=pictures)
         sections.append(jitter_section(rig, pictures, data_path, lambda: progress.advance(still)))

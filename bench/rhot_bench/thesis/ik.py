@@ -23,7 +23,7 @@ from typing import Final
 # shared by all markers, and settings that never reached the filters. Pure Python on single numbers, as its Java was.
 
 Pixel = tuple[float, float]
-Place = tuple[float, float, float]
+Point = tuple[float, float, float]
 
 PAIRING_S: Final = 0.020
 LAW: Final = (4543.3, -1.035)
@@ -90,7 +90,7 @@ class ThesisFusion:
         self._latest: dict[str, Arrival] = {}
         self._filters: dict[str, tuple[OneEuro, OneEuro, OneEuro]] = {}
 
-    def feed(self, camera: str, arrival: Arrival) -> dict[str, Place]:
+    def feed(self, camera: str, arrival: Arrival) -> dict[str, Point]:
         """Take a frame and return smoothed points, metres, left camera; empty without a partner within 20 ms."""
         self._latest[camera] = arrival
         left, right = self._latest.get("left"), self._latest.get("right")

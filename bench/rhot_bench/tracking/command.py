@@ -16,7 +16,15 @@ from rhot.cli.options import FiniteRange
 from rhot.report.svg import histogram, line_plot
 from rhot.rig import Rig
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.tracking.tracking import MM, SETTLE_S, Scene, Tracked, run_scene, simulated_rig, tracking_sections
+from rhot_bench.tracking.tracking import (
+    MM,
+    SETTLE_S,
+    Tracked,
+    TrackingScene,
+    run_scene,
+    simulated_rig,
+    tracking_sections,
+)
 from rhot_tools.measures.output import counted, html_report, json_option, page_option, show
 from rhot_tools.measures.rows import check_output
 
@@ -86,9 +94,9 @@ def tracking(
     share = _QUICK if quick else 1.0
     still_s = 8.0
     scenes = {
-        "script": Scene("script", "script", 1.0, max(duration_s * share, _LEAST_S)),
-        "still": Scene("still", "still", 1.0, max(still_s * share, _LEAST_S)),
-        "fast": Scene("fast", "script", speed, max(_FAST_S * share, _LEAST_S)),
+        "script": TrackingScene("script", "script", 1.0, max(duration_s * share, _LEAST_S)),
+        "still": TrackingScene("still", "still", 1.0, max(still_s * share, _LEAST_S)),
+        "fast": TrackingScene("fast", "script", speed, max(_FAST_S * share, _LEAST_S)),
     }
     console = Console(stderr=True, soft_wrap=True)
     cv2.setNumThreads(1)

@@ -83,7 +83,7 @@ FABRIK: Final = "FABRIK: 6–18 mm (middle joints)"
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class TrackingScene:
     """What is played before the cameras.
 
     Attributes:
@@ -111,7 +111,7 @@ class Tracked:
         hand: figures of the first hand; None without one.
     """
 
-    scene: Scene
+    scene: TrackingScene
     points: PointTrack
     world: World
     seen: Survival | None
@@ -143,7 +143,7 @@ def scene_frames(rig: Rig, world: World, to_s: float, advance: Callable[[], None
         advance()
 
 
-def run_scene(rig: Rig, scene: Scene, advance: Callable[[], None], *, look: bool) -> Tracked:
+def run_scene(rig: Rig, scene: TrackingScene, advance: Callable[[], None], *, look: bool) -> Tracked:
     """Track one scene.
 
     Args:

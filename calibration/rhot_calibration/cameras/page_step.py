@@ -22,7 +22,7 @@ from rhot_calibration.cameras.calibration import Calibrated, calibrate_rig, came
 from rhot_calibration.cameras.live.coverage import WANTED_FILL, WANTED_SHARED, WANTED_TILTED, WANTED_VIEWS
 from rhot_calibration.cameras.live.display import state_line
 from rhot_calibration.cameras.live.live import CONNECT_S, Collector, prepare_folder, rounds
-from rhot_calibration.cameras.live.session import Progress, Session, State
+from rhot_calibration.cameras.live.session import Progress, Session, SessionState
 from rhot_calibration.cameras.pictures import PictureReading
 from rhot_calibration.cameras.solve.views import Board, ViewSet
 from rhot_calibration.page_step import PageStep, trial_buttons
@@ -109,7 +109,7 @@ def result_tables(found: Calibrated) -> tuple[Figures, ...]:
 
 # The page's step that calibrates the cameras, over the functions of `rhot calibrate cameras --live`.
 
-_GOOD: Final = (State.HOLDING, State.ACCEPTED, State.COMPLETE)
+_GOOD: Final = (SessionState.HOLDING, SessionState.ACCEPTED, SessionState.COMPLETE)
 _ADVICE: Final = 4
 _SILENT_S: Final = 2.0
 _NO_BOARD_S: Final = 8.0
@@ -210,7 +210,7 @@ class CameraStep(PageStep[CamerasFile]):
         tone: Tone = "good" if progress.state in _GOOD else "warning"
         said = [Remark(f"{progress.sets} taken: {state_line(progress)}", tone)]
         now_s = asyncio.get_running_loop().time()
-        if progress.state is not State.SEARCHING:
+        if progress.state is not SessionState.SEARCHING:
             self._searching_since = now_s
         elif now_s - self._searching_since > _NO_BOARD_S:
             said.append(

@@ -39,7 +39,7 @@ from rhot_calibration.colors.model.separability import (
     separability,
 )
 from rhot_calibration.colors.picking import regions as picked
-from rhot_calibration.colors.picking.picks import Box, Place, Places, place_text
+from rhot_calibration.colors.picking.picks import Box, Pick, Picks, place_text
 from rhot_capture.detection.blob import find_blobs
 from rhot_capture.detection.color_table import build_color_table, component_distances, in_balance
 
@@ -50,7 +50,7 @@ _LEAST_MARKED: Final = 0.4
 """Share of a marker's own pixels that must be told from the surroundings, whichever marker they are given to."""
 
 
-def check_places(images: Sequence[ImageArray], places: Sequence[Places], markers: Mapping[str, MarkerConfig]) -> None:
+def check_places(images: Sequence[ImageArray], places: Sequence[Picks], markers: Mapping[str, MarkerConfig]) -> None:
     """Check what was pointed out against pictures and markers.
 
     Raises:
@@ -79,7 +79,7 @@ def check_places(images: Sequence[ImageArray], places: Sequence[Places], markers
                 raise CalibrationError(f"{said} lies outside picture {number}, which is {width}x{height}")
 
 
-def _kind(place: Place) -> str:
+def _kind(place: Pick) -> str:
     return "box" if isinstance(place, Box) else "pick"
 
 
@@ -88,7 +88,7 @@ def _far_corner(box: Box) -> tuple[float, float]:
 
 
 def check_regions(
-    found: Sequence[Mapping[str, BoolArray]], places: Sequence[Places], markers: Mapping[str, MarkerConfig]
+    found: Sequence[Mapping[str, BoolArray]], places: Sequence[Picks], markers: Mapping[str, MarkerConfig]
 ) -> None:
     """Check what was found at the places.
 
@@ -312,7 +312,7 @@ class ColorCalibration:
 
 def calibrate(
     images: Sequence[ImageArray],
-    places: Sequence[Places],
+    places: Sequence[Picks],
     markers: Mapping[str, MarkerConfig],
     region_of: Callable[[int], dict[str, BoolArray]] | None = None,
     cameras: Sequence[str | None] | None = None,

@@ -19,7 +19,7 @@ from rhot.rig.colors import ColorsFile
 from rhot.rig.config import MarkerConfig
 from rhot_calibration.colors.calibration import ColorCalibration, calibrate
 from rhot_calibration.colors.picking.clicks import ClickedPicture
-from rhot_calibration.colors.picking.picks import Places
+from rhot_calibration.colors.picking.picks import Picks
 from rhot_calibration.colors.report.picture import overlay_picture, suggestions, warnings
 from rhot_capture.detection.color_table import ColorTable, camera_tables
 from rhot_capture.detection.detector import MarkerDetector
@@ -96,7 +96,7 @@ class LearntColors:
 
 def learn_colors(
     images: Sequence[ImageArray],
-    places: Sequence[Places],
+    places: Sequence[Picks],
     markers: Mapping[str, MarkerConfig],
     region_of: Callable[[int], dict[str, BoolArray]] | None = None,
     cameras: Sequence[str | None] | None = None,
@@ -130,7 +130,7 @@ class Learnt:
     pictures: Mapping[str, bytes]
 
 
-def learn(pictures: Sequence[ClickedPicture], places: Sequence[Places], markers: Mapping[str, MarkerConfig]) -> Learnt:
+def learn(pictures: Sequence[ClickedPicture], places: Sequence[Picks], markers: Mapping[str, MarkerConfig]) -> Learnt:
     """Learn colours from clicks.
 
     Args:

@@ -133,7 +133,7 @@ class ColorStep(PageStep[ColorsFile]):
             RhotError: it cannot be done.
         """
         if button == "take" and not self._doing:
-            await self._take()
+            await self._take_picture()
         elif button == "unclick" and self._clicks.can_take_back:
             self._changed(self._clicks.take_back())
         elif button == "start_over":
@@ -163,7 +163,7 @@ class ColorStep(PageStep[ColorsFile]):
         self._hold()
         self._clicked.set()
 
-    async def _take(self) -> None:
+    async def _take_picture(self) -> None:
         with self._busy("taking pictures"):
             found = await live_pictures(self._context.bus, self._cameras)
         self._clicks.add(found)

@@ -33,7 +33,7 @@ from rhot_calibration.hand.samples.samples import (
     STRAIGHT_SHARE,
     HandSamples,
     Phases,
-    Window,
+    PoseWindow,
     find_flat,
     reaches,
     read_samples,
@@ -109,7 +109,7 @@ def refuse_unseen_tips(samples: HandSamples, parameters: HandParameters) -> None
     )
 
 
-def refuse_unseen_fingers(flat: Window, samples: HandSamples) -> None:
+def refuse_unseen_fingers(flat: PoseWindow, samples: HandSamples) -> None:
     """Refuse a flat phase in which one of the four fingers is hardly ever seen."""
     seen = np.isfinite(reaches(samples)[:, 1:]).sum(axis=0) if len(samples) else np.zeros(4, dtype=np.intp)
     if (seen < FEWEST_FLAT).any():
@@ -186,7 +186,7 @@ METACARPAL_JOINTS: Final = tuple(CHAINS[finger][1] for finger in FINGERS[1:])
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class FingerMotion:
     """What a recording showed.
 
     Attributes:
@@ -195,14 +195,14 @@ class Motion:
         arcs_rad: finger to how far it bent at its knuckle while straight.
     """
 
-    flat: Window
-    knuckles: Window | None
+    flat: PoseWindow
+    knuckles: PoseWindow | None
     frames: int
     arcs_rad: dict[str, float] = field(default_factory=dict)
 
 
 def hand_quality(
-    parameters: HandParameters, fitted: HandFit, motion: Motion, typed_length_m: float | None
+    parameters: HandParameters, fitted: HandFit, motion: FingerMotion, typed_length_m: float | None
 ) -> dict[str, Any]:
     """Return the figures of a fitted hand for `hand.json`: each length in mm, its standard deviation and source."""
     unmeasured = fit(lambda _: np.zeros(0), parameters, np.zeros(COUNT), None)
@@ -323,7 +323,7 @@ def measure_hand(
     else:
         evidence = FlatDistances(parameters, samples.at(flat_rows))
         fitted = fit(evidence, parameters, np.zeros(COUNT), typed_length_m)
-        motion = Motion(flat=flat, knuckles=None, frames=len(flat_rows))
+        motion = FingerMotion(flat=flat, knuckles=None, frames=len(flat_rows))
     hand = parameters.hand(fitted.x)
     refuse_inhuman(hand)
     quality = hand_quality(parameters, fitted, motion, typed_length_m)
@@ -332,8 +332,8 @@ def measure_hand(
 
 
 def _from_straight_fingers(
-    frame: PalmFrame, flat: Window, knuckles: Window | None, typed_length_m: float | None
-) -> tuple[HandFit, Motion]:
+    frame: PalmFrame, flat: PoseWindow, knuckles: PoseWindow | None, typed_length_m: float | None
+) -> tuple[HandFit, FingerMotion]:
     rows = np.flatnonzero(flat.holds(frame.seconds) & frame.known[:, 1:].any(axis=1))
     if len(rows) < FEWEST_FLAT:
         raise CalibrationError(
@@ -369,7 +369,7 @@ def _from_straight_fingers(
         for index, finger in enumerate(FINGERS)
     }
     has_knuckles = window is not None and any(arcs[finger] > 0.0 for finger in FINGERS[1:])
-    return fitted, Motion(flat, window if has_knuckles else None, len(chosen.rows), arcs)
+    return fitted, FingerMotion(flat, window if has_knuckles else None, len(chosen.rows), arcs)
 
 
 def _restart(fitted: HandFit, complied: BoolArray) -> FloatArray:
@@ -393,7 +393,7 @@ def _straight(frame: PalmFrame, x: FloatArray, limit_m: float) -> BoolArray:
     return straight
 
 
-def _with_knuckles(frame: PalmFrame, start: Chosen, window: Window | None, straight: BoolArray) -> Chosen:
+def _with_knuckles(frame: PalmFrame, start: Chosen, window: PoseWindow | None, straight: BoolArray) -> Chosen:
     """Return the flat samples and those of a window in which fingers are straight that mostly are so in it."""
     if window is None:
         return start
@@ -410,14 +410,14 @@ def _with_knuckles(frame: PalmFrame, start: Chosen, window: Window | None, strai
     )
 
 
-def _inside(frame: PalmFrame, start: Chosen, window: Window) -> BoolArray:
+def _inside(frame: PalmFrame, start: Chosen, window: PoseWindow) -> BoolArray:
     """Return (N,) which samples lie in a window, without the flat ones."""
     inside = window.holds(frame.seconds)
     inside[start.rows[0] : start.rows[-1] + 1] = False
     return inside
 
 
-def _share(frame: PalmFrame, start: Chosen, window: Window | None, straight: BoolArray) -> FloatArray:
+def _share(frame: PalmFrame, start: Chosen, window: PoseWindow | None, straight: BoolArray) -> FloatArray:
     """Return in which share (5,) of the samples of a window that show a finger it is straight."""
     if window is None:
         return np.zeros(5)

@@ -24,7 +24,7 @@ from rhot_calibration.hand.samples.samples import (
     LIVE_PHASES,
     LIVE_S,
     Phases,
-    Window,
+    PoseWindow,
     live_points,
     prompt_at,
     recorded_points,
@@ -33,15 +33,15 @@ from rhot_calibration.hand.samples.samples import (
 from rhot_calibration.writing import write_found
 
 
-class _Stretch(click.ParamType[Window]):
+class _Stretch(click.ParamType[PoseWindow]):
     name = "seconds"
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Window:
-        if isinstance(value, Window):
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> PoseWindow:
+        if isinstance(value, PoseWindow):
             return value
         start, dash, end = str(value).partition("-")
         try:
-            window = Window(float(start), float(end))
+            window = PoseWindow(float(start), float(end))
         except ValueError:
             self.fail(f"{value!r} is not START-END in seconds, such as 1.5-4", param, ctx)
         if not dash or not 0.0 <= window.start_s < window.end_s < float("inf"):
@@ -71,8 +71,8 @@ class _Stretch(click.ParamType[Window]):
 def hand(
     recording_path: Path | None,
     live: bool,
-    flat: Window | None,
-    knuckles: Window | None,
+    flat: PoseWindow | None,
+    knuckles: PoseWindow | None,
     length_mm: float | None,
     width_mm: float | None,
     side: Side | None,

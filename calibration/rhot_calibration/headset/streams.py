@@ -145,7 +145,7 @@ class ViewCollector:
             self._head_ns = max(self._head_ns, pose.t_ns)
         before = len(self.views)
         while self._waiting and self._waiting[0][0] + _AROUND_NS <= self._head_ns:
-            self._take(*self._waiting.popleft())
+            self._add_detection(*self._waiting.popleft())
         return len(self.views) > before
 
     def add_picture(self, t_ns: int, found: MarkerDetection | None, camera: CameraModel) -> None:
@@ -167,7 +167,7 @@ class ViewCollector:
         if (found.corners > _MARGIN_PX).all() and (found.corners < highest).all():
             self._waiting.append((t_ns, found))
 
-    def _take(self, t_ns: int, found: MarkerDetection) -> None:
+    def _add_detection(self, t_ns: int, found: MarkerDetection) -> None:
         before, T, after = (self._heads.at(t_ns + shift) for shift in (-_AROUND_NS, 0, _AROUND_NS))
         if before is None or T is None or after is None or len(self.views) >= 4 * self.wanted:
             return

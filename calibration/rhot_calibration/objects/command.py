@@ -26,7 +26,7 @@ from rhot.rig.config import ObjectSource
 from rhot.rig.folder import registration_name, registration_path
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
 from rhot_calibration.objects.fit import Estimate, Places, RegistrationFit, first_prior, fit_registration
-from rhot_calibration.objects.live import Place, PlaceCollector, collect_places
+from rhot_calibration.objects.live import PlaceCollector, PosePair, collect_places
 from rhot_calibration.objects.record import (
     RegistrationQuality,
     change,
@@ -436,7 +436,7 @@ def _live_places(rig: Rig, bus: BusConfig, shown: _Shown, wanted: int) -> Places
         "with those there are."
     )
 
-    def taken(place: Place) -> None:
+    def taken(place: PosePair) -> None:
         x, y, z = 1e3 * place.x_rig
         console.print(f"place {len(collector.places)} of {wanted} taken at {x:.0f}, {y:.0f}, {z:.0f} mm", style="green")
 

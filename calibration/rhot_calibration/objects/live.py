@@ -31,7 +31,7 @@ _ELSEWHERE_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PosePair:
     """One place; see `Places` for frames and units."""
 
     x_rig: FloatArray
@@ -62,16 +62,16 @@ class PlaceCollector:
     """
 
     def __init__(self) -> None:
-        self.places: list[Place] = []
+        self.places: list[PosePair] = []
         self._points: deque[_PointSample] = deque()
         self._poses: deque[_PoseSample] = deque()
 
-    def add_point(self, t_ns: int, position: FloatArray, sigma_m: float) -> Place | None:
+    def add_point(self, t_ns: int, position: FloatArray, sigma_m: float) -> PosePair | None:
         """Take a measured marker position (3,), metres, rig frame, `sigma_m` as in `Point.sigma`."""
         self._points.append(_PointSample(t_ns, position, sigma_m))
         return self._try()
 
-    def add_pose(self, t_ns: int, T_space_device: Pose) -> Place | None:
+    def add_pose(self, t_ns: int, T_space_device: Pose) -> PosePair | None:
         """Take a measured device pose, tracker space."""
         R = rotation_from_quaternion(T_space_device.orientation_xyzw)
         self._poses.append(_PoseSample(t_ns, T_space_device.position, R))
@@ -99,7 +99,7 @@ class PlaceCollector:
             p_space_device=np.array([place.p_space_device for place in self.places]).reshape(-1, 3),
         )
 
-    def _try(self) -> Place | None:
+    def _try(self) -> PosePair | None:
         forget_old(self._points, self._poses)
         if not (covers(self._points) and covers(self._poses)):
             return None
@@ -111,7 +111,7 @@ class PlaceCollector:
         self._poses.clear()
         return place
 
-    def _candidate(self) -> Place | None:
+    def _candidate(self) -> PosePair | None:
         """Return the place that is held now, None when something moves."""
         p = np.array([sample.position for sample in self._poses])
         R = np.array([sample.R for sample in self._poses])
@@ -128,9 +128,9 @@ class PlaceCollector:
         # Not divided by the number of samples: the tracker's filter makes them alike, and its bias does not average.
         sigma_m = float(np.mean([sample.sigma_m for sample in self._points])) / np.sqrt(3.0)
         least_sigma_m = 3e-4
-        return Place(np.median(x, axis=0), max(sigma_m, least_sigma_m), R_mean, p_mean)
+        return PosePair(np.median(x, axis=0), max(sigma_m, least_sigma_m), R_mean, p_mean)
 
-    def _is_new(self, place: Place) -> bool:
+    def _is_new(self, place: PosePair) -> bool:
         turned_rad = np.radians(25.0)
         return all(
             np.linalg.norm(place.p_space_device - other.p_space_device) > _ELSEWHERE_M
@@ -145,7 +145,7 @@ CONNECT_TIMEOUT_S: Final = 5.0
 HINT_S: Final = 0.5
 """Between two looks at what is missing."""
 
-Taken = Callable[[Place], None]
+Taken = Callable[[PosePair], None]
 Hint = Callable[[str], None]
 
 
@@ -184,7 +184,7 @@ async def collect_places(
     heard: set[str] = set()
     object_key = key_of(object_id)
 
-    def keep(place: Place | None) -> None:
+    def keep(place: PosePair | None) -> None:
         if place is not None and not done.is_set():
             taken(place)
             if len(collector.places) >= wanted:

@@ -15,7 +15,7 @@ from rhot.rig.folder import REGISTRATION_FILE, registration_name
 from rhot.rig.kept_file import KeptFile
 from rhot_calibration.objects.checks import check_fit, check_places, lever_note, scale_note
 from rhot_calibration.objects.fit import Places, RegistrationFit, first_prior, fit_registration
-from rhot_calibration.objects.live import Place, PlaceCollector, collect_places
+from rhot_calibration.objects.live import PlaceCollector, PosePair, collect_places
 from rhot_calibration.objects.record import registration_file
 from rhot_calibration.objects.touch.checks import judged
 from rhot_calibration.objects.touch.collector import TouchCollector
@@ -196,7 +196,7 @@ class ObjectStep(PageStep[RegistrationFile]):
         self._collector, self._touches = PlaceCollector(), None
         self._hint, self._found, self._fitted = "", None, ((), ())
 
-    def _taken(self, _: Place) -> None:
+    def _taken(self, _: PosePair) -> None:
         self._hint = "go to another place, and turn it"
 
     def _hinted(self, text: str) -> None:

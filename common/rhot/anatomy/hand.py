@@ -23,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from rhot.anatomy.hand_proportions import HandMeasures, RestGeometry, rest_geometry
-from rhot.anatomy.markers import Marker
+from rhot.anatomy.markers import PaintedMarker
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
 from rhot.arrays import FloatArray
 from rhot.types import Side, Vector3
@@ -189,7 +189,7 @@ class HandModel(RestGeometry):
         chain[..., 1:, :] = self.knuckles[:, None, :] - np.cumsum(self.bones[..., None] * axes[..., 2], axis=-2)
         return chain, axes
 
-    def marker_offset(self, name: str, marker: Marker) -> FloatArray:
+    def marker_offset(self, name: str, marker: PaintedMarker) -> FloatArray:
         """Return where a marker's painted centre lies in its joint's frame, (3,), metres.
 
         A cap covers `CAP_SHARE` of the last segment, taken as a cylinder with a half ball at its end whose centre is
@@ -216,7 +216,7 @@ class HandModel(RestGeometry):
         behind = (cylinder * straight / 2.0 - ball * 3.0 / 8.0 * radius) / (ball + cylinder)
         return np.array([0.0, 0.0, behind])
 
-    def marker_positions(self, joints: HandJoints, markers: Mapping[str, Marker]) -> dict[str, FloatArray]:
+    def marker_positions(self, joints: HandJoints, markers: Mapping[str, PaintedMarker]) -> dict[str, FloatArray]:
         """Return the centre (..., 3), metres, of each marker that this hand wears; see `marker_offset`."""
         return {
             name: joints.position(marker.joint) + joints.rotation(marker.joint) @ self.marker_offset(name, marker)
@@ -224,7 +224,7 @@ class HandModel(RestGeometry):
             if marker.hand == self.side
         }
 
-    def patch_corners(self, joints: HandJoints, marker: Marker, name: str = "base") -> FloatArray:
+    def patch_corners(self, joints: HandJoints, marker: PaintedMarker, name: str = "base") -> FloatArray:
         """Return the corners (..., 4, 3), metres, of a patch: front left, front right, back right, back left.
 
         Front is towards the fingers, left and right are −X and +X of its joint; the size is `marker.size_m`, across
@@ -236,7 +236,7 @@ class HandModel(RestGeometry):
         return corners
 
 
-def patch_outline(marker: Marker) -> FloatArray:
+def patch_outline(marker: PaintedMarker) -> FloatArray:
     """Return the corners (4, 3) of a patch about its centre, metres, in its joint's frame; order of `patch_corners`."""
     across, along = marker.size_m or (0.0, 0.0)
     signs = np.array([[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])

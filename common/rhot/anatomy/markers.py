@@ -8,7 +8,7 @@ from typing import Literal, Protocol, TypeVar
 from rhot.types import Side
 
 
-class Marker(Protocol):
+class PaintedMarker(Protocol):
     """What a marker's name stands for; `rhot.rig.MarkerConfig` is one."""
 
     @property
@@ -47,7 +47,7 @@ class Marker(Protocol):
         ...
 
 
-M = TypeVar("M", bound=Marker)
+M = TypeVar("M", bound=PaintedMarker)
 
 
 def own_paints(markers: Mapping[str, M]) -> dict[str, M]:

@@ -73,7 +73,7 @@ class _Mailbox(ABC):
     def clear(self) -> None:
         """Forget what has not been read yet."""
         with self._lock:
-            self._take()
+            self._drain()
 
     def __call__(self, zenoh_sample: zenoh.Sample) -> None:
         """Take one sample, on Zenoh's thread."""
@@ -109,7 +109,7 @@ class _Mailbox(ABC):
         """Keep a sample; the lock is held."""
 
     @abstractmethod
-    def _take(self) -> list[Sample]:
+    def _drain(self) -> list[Sample]:
         """Return what was kept, in the order of reading, and forget it; the lock is held."""
 
     async def next(self) -> Sample:
@@ -128,7 +128,7 @@ class _Mailbox(ABC):
             await self._wake.wait()
             self._wake.clear()
             with self._lock:
-                samples = self._take()
+                samples = self._drain()
                 self._pending = False
                 closed = self._closed
             for sample in samples:
@@ -186,7 +186,7 @@ class LatestSubscriber(_Mailbox):
             self._limits.hit("foreign_keys_dropped")
         self._foreign[sample.key] = sample
 
-    def _take(self) -> list[Sample]:
+    def _drain(self) -> list[Sample]:
         samples = [*self._slots.values(), *self._foreign.values()]
         self._slots.clear()
         self._foreign.clear()
@@ -215,7 +215,7 @@ class EventSubscriber(_Mailbox):
             self.overwritten += 1
             self._limits.hit("unread_dropped")
 
-    def _take(self) -> list[Sample]:
+    def _drain(self) -> list[Sample]:
         samples = list(self._queue)
         self._queue.clear()
         self._bytes = 0

@@ -48,14 +48,14 @@ class ControlLink:
     async def _follow_broadcasts(self, node: Node) -> None:
         async for sample in node.bus.events(CONTROL_KEY):
             if not sample.deleted:
-                self._take(node, sample.payload, live=True)
+                self._handle(node, sample.payload, live=True)
 
     async def _ask(self, node: Node) -> None:
         """Learn the start signal from whoever knows it: for services that join late or missed it."""
         while True:
             for reply in await node.bus.get(CONTROL_KEY, timeout_s=1.0):
                 if not reply.error:
-                    self._take(node, reply.payload, live=False)
+                    self._handle(node, reply.payload, live=False)
             await asyncio.sleep(_QUERY_INTERVAL_S)
 
     async def _judge(self, node: Node, clock_ready: asyncio.Event) -> None:
@@ -67,7 +67,7 @@ class ControlLink:
         except WireError as error:
             node.refuse(CONTROL_KEY, error)
 
-    def _take(self, node: Node, payload: bytes, *, live: bool) -> None:
+    def _handle(self, node: Node, payload: bytes, *, live: bool) -> None:
         try:
             control = decode(payload, Control)
             if live:
@@ -137,7 +137,7 @@ class ControlState:
             raise WireError(f"the stop is for session {control.session}, not for {newest.session or 'a stopped rig'}")
         known = 0 if newest is None else newest.revision
         believable = known < control.revision <= known + _MOST_AHEAD
-        self._take(control if believable else control.model_copy(update={"revision": known + 1}))
+        self._handle(control if believable else control.model_copy(update={"revision": known + 1}))
         return True
 
     def judge(self, now_ns: int) -> bool:
@@ -160,10 +160,10 @@ class ControlState:
             raise WireError(f"control revision {control.revision} cannot be true; the newest that is known is {known}")
         if self._newest is not None and control.revision <= known:
             return False
-        self._take(control)
+        self._handle(control)
         return True
 
-    def _take(self, control: Control) -> None:
+    def _handle(self, control: Control) -> None:
         self._newest, self._unjudged = control, None
         self._changed.set()
         self._changed = asyncio.Event()

@@ -8,7 +8,7 @@ from typing import Final
 
 from rhot.messages import Side
 from rhot.rig import BridgeConfig
-from rhot_bridge.scene import Body, Hand, Scene, Thing, Tracked
+from rhot_bridge.scene import Body, BridgedHand, Scene, Thing, Tracked
 
 # Decides when a frame is sent.
 
@@ -105,7 +105,7 @@ class Newest:
 
     def scene(self, now_ns: int) -> Scene:
         """Return the scene to send now, rig axes; samples that have faded out are discarded."""
-        hands: dict[Side, Hand] = {}
+        hands: dict[Side, BridgedHand] = {}
         feet: dict[Side, Thing] = {}
         objects: dict[str, Thing] = {}
         head: Thing | None = None
@@ -123,7 +123,7 @@ class Newest:
                 tracked = dataclasses.replace(tracked, state="kept", weight=weight)
             newest_ns = max(newest_ns, tracked.t_ns)
             kind, _, name = key.removeprefix("rhot/").partition("/")
-            if isinstance(tracked, Hand):
+            if isinstance(tracked, BridgedHand):
                 hands["left" if name == "left" else "right"] = tracked
             elif isinstance(tracked, Body):
                 body = tracked

@@ -43,7 +43,7 @@ class Poses:
 
 
 @dataclass(frozen=True, slots=True)
-class Hand(Poses):
+class BridgedHand(Poses):
     """One hand; rows in the order of `rhot.anatomy.skeleton.JOINTS`, OpenXR's.
 
     Attributes:
@@ -79,7 +79,7 @@ class Body(Poses):
         return self.names.index(name) if name in self.names else None
 
 
-Tracked = Hand | Thing | Body
+Tracked = BridgedHand | Thing | Body
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class Scene:
 
     axes: Axes
     t_ns: int = 0
-    hands: Mapping[Side, Hand] = field(default_factory=dict)
+    hands: Mapping[Side, BridgedHand] = field(default_factory=dict)
     objects: Mapping[str, Thing] = field(default_factory=dict)
     head: Thing | None = None
     feet: Mapping[Side, Thing] = field(default_factory=dict)
@@ -120,7 +120,7 @@ def tracked(message: HandPose | ObjectPose | FootPose | BodyPose) -> Tracked:
             raise WireError(f"the {message.side} hand lacks {len(missing)} of 26 joints: {missing[0]}, …")
         joints = [message.joints[name] for name in JOINTS]
         table = np.array([(*joint.position, *joint.orientation, joint.radius) for joint in joints])
-        return Hand(message.t_ns, message.state, 1.0, table[:, :3], table[:, 3:7], table[:, 7])
+        return BridgedHand(message.t_ns, message.state, 1.0, table[:, :3], table[:, 3:7], table[:, 7])
     if isinstance(message, BodyPose):
         rows = np.array([(*joint.position, *joint.orientation) for joint in message.joints.values()]).reshape(-1, 7)
         return Body(message.t_ns, message.state, 1.0, rows[:, :3], rows[:, 3:], tuple(message.joints))

@@ -17,7 +17,7 @@ _LONGEST_WAIT_S = 1.0
 five periods of the lowest rate that `rhot sim` accepts, 5 Hz."""
 
 
-class Schedule:
+class FrameSchedule:
     """Measures each camera's frame period and chooses output times.
 
     Attributes:

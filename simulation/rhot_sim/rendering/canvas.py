@@ -31,7 +31,7 @@ _LIGHT: Final = (-0.10, -0.14)
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class CanvasWindow:
     """A rectangle of the picture, pixels; right and bottom are not part of it."""
 
     left: int
@@ -39,15 +39,15 @@ class Window:
     right: int
     bottom: int
 
-    def overlaps(self, other: Window) -> bool:
+    def overlaps(self, other: CanvasWindow) -> bool:
         """Tell whether two rectangles share pixels."""
         return (
             self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
         )
 
-    def union(self, other: Window) -> Window:
+    def union(self, other: CanvasWindow) -> CanvasWindow:
         """Return the smallest rectangle around both."""
-        return Window(
+        return CanvasWindow(
             min(self.left, other.left),
             min(self.top, other.top),
             max(self.right, other.right),
@@ -55,7 +55,7 @@ class Window:
         )
 
     @classmethod
-    def around(cls, points: FloatArray, width: int, height: int) -> Window | None:
+    def around(cls, points: FloatArray, width: int, height: int) -> CanvasWindow | None:
         """Return the part of a picture that holds points (..., 2), pixels, with a margin; None when it holds none."""
         flat = points.reshape(-1, 2)
         low = np.floor(np.clip(flat.min(axis=0) - _MARGIN_PX, 0.0, 1e6)).astype(int)
@@ -64,9 +64,9 @@ class Window:
         return window if window.left < window.right and window.top < window.bottom else None
 
 
-def disjoint(windows: Iterable[Window]) -> list[Window]:
+def disjoint(windows: Iterable[CanvasWindow]) -> list[CanvasWindow]:
     """Return windows that cover the given ones and do not overlap each other."""
-    apart: list[Window] = []
+    apart: list[CanvasWindow] = []
     for window in windows:
         merged = window
         while touching := [other for other in apart if other.overlaps(merged)]:
@@ -89,7 +89,7 @@ def paint_groups(
     groups: Sequence[Group],
     colors: Mapping[tuple[str, float], tuple[float, float, float]],
     *,
-    window: Window,
+    window: CanvasWindow,
     scale: int,
 ) -> None:
     """Draw groups, far to near, anti-aliased, on a canvas that shows `window` enlarged by `scale`.
@@ -117,7 +117,7 @@ def paint_groups(
             cv2.fillConvexPoly(canvas, hull, colors[stroke.color], cv2.LINE_AA, FIXED_BITS)
 
 
-def on_canvas(points: FloatArray, window: Window, scale: int) -> Int32Array:
+def on_canvas(points: FloatArray, window: CanvasWindow, scale: int) -> Int32Array:
     """Return picture pixels as fixed-point pixels of a canvas that is `scale` times as fine.
 
     Pixel centres lie on integers in both, so a picture's pixel u covers the canvas from (u − ½ + ½)·s − ½ on:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot_sim.rendering.canvas import FIXED_BITS, PLAIN_GROWTH, Window, far_to_near, on_canvas
+from rhot_sim.rendering.canvas import FIXED_BITS, PLAIN_GROWTH, CanvasWindow, far_to_near, on_canvas
 from rhot_sim.rendering.outline import Outliner
 from rhot_sim.world.body import Body
 from rhot_sim.world.parts import Group
@@ -71,13 +71,13 @@ class MarkerCoverage:
         (paths,) = self._outliner.paths(rings)
         points = paths.middle
         outlines = {name: points[list(indices)].reshape(-1, 2) for name, indices in self._body.marker_rings.items()}
-        window = Window.around(np.concatenate(list(outlines.values())), self.camera.width, self.camera.height)
+        window = CanvasWindow.around(np.concatenate(list(outlines.values())), self.camera.width, self.camera.height)
         if window is None:
             return {name: self._view(name, outline, None, None) for name, outline in outlines.items()}
         labels = self._draw(points, far_to_near(groups, paths.distances), window)
         return {name: self._view(name, outline, labels, window) for name, outline in outlines.items()}
 
-    def _draw(self, points: FloatArray, groups: list[Group], window: Window) -> Labels:
+    def _draw(self, points: FloatArray, groups: list[Group], window: CanvasWindow) -> Labels:
         scale = self._scale
         labels: Labels = np.zeros(
             ((window.bottom - window.top) * scale, (window.right - window.left) * scale), dtype=np.uint8
@@ -89,12 +89,12 @@ class MarkerCoverage:
                 cv2.fillConvexPoly(labels, hull, self._labels.get(part.paint, 0), cv2.LINE_8, FIXED_BITS)
         return labels
 
-    def _view(self, name: str, outline: FloatArray, labels: Labels | None, window: Window | None) -> MarkerView:
+    def _view(self, name: str, outline: FloatArray, labels: Labels | None, window: CanvasWindow | None) -> MarkerView:
         hull = cv2.convexHull(outline.astype(np.float32))
         # The outline was drawn inset by δ; the full area is A + perimeter · δ (Steiner).
         full = cv2.contourArea(hull) + cv2.arcLength(hull, True) * self._shrink_px
         inside = bool(self.camera.contains(outline).all())
-        near = Window.around(outline, self.camera.width, self.camera.height)
+        near = CanvasWindow.around(outline, self.camera.width, self.camera.height)
         if labels is None or window is None or near is None:
             return self._hidden(outline)
         scale = self._scale

@@ -20,7 +20,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig.config import CameraConfig, SimConfig
 from rhot_sim.rendering.backdrop import Backdrop, Image, SensorNoise
-from rhot_sim.rendering.canvas import AA_GROWTH, AA_SEAM, Window, disjoint, far_to_near, paint_groups
+from rhot_sim.rendering.canvas import AA_GROWTH, AA_SEAM, CanvasWindow, disjoint, far_to_near, paint_groups
 from rhot_sim.rendering.outline import OutlinePaths, Outliner, row_timed
 from rhot_sim.world.board import BOARD, RIM_SQUARES, ChessBoard
 from rhot_sim.world.body import Body
@@ -92,14 +92,16 @@ class BoardPainter:
         first, second = (self._camera.project(self._board.outline @ T[:3, :3].T + T[:3, 3]) for T in poses)
         return float(np.nan_to_num(np.abs(second - first)).max())
 
-    def _window(self, poses: FloatArray) -> Window | None:
+    def _window(self, poses: FloatArray) -> CanvasWindow | None:
         points = np.concatenate([self._board.outline @ T[:3, :3].T + T[:3, 3] for T in poses])
         pixels = self._camera.project(points)
         width, height = self._camera.width, self._camera.height
         if np.isnan(pixels).all():
             return None
         # Partly behind the camera, the board's edge is nowhere in the picture.
-        return Window(0, 0, width, height) if np.isnan(pixels).any() else Window.around(pixels, width, height)
+        return (
+            CanvasWindow(0, 0, width, height) if np.isnan(pixels).any() else CanvasWindow.around(pixels, width, height)
+        )
 
     def _seen(self, T_rig_board: FloatArray, area: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
         """Return the share of each pixel that the board covers, and its grey level, for one pose or one a row."""
@@ -315,19 +317,19 @@ class Renderer:
         moved_px = float(np.abs(paths.end - paths.start).max(axis=-1)[seen].max(initial=0.0)) * exposure_s / span_s
         return _shares_of_exposure(moved_px)
 
-    def _windows(self, drawn: list[FloatArray]) -> dict[str, Window]:
+    def _windows(self, drawn: list[FloatArray]) -> dict[str, CanvasWindow]:
         """Return the window around each hand and object that is in the picture."""
-        windows: dict[str, Window] = {}
+        windows: dict[str, CanvasWindow] = {}
         for owner, rings in self._body.owner_rings.items():
             points = np.concatenate([points[rings] for points in drawn])
-            window = Window.around(points, self.camera.width, self.camera.height)
+            window = CanvasWindow.around(points, self.camera.width, self.camera.height)
             if window is not None:
                 windows[owner] = window
         return windows
 
     def _exposed(
         self,
-        window: Window,
+        window: CanvasWindow,
         drawn: list[FloatArray],
         groups: list[Group],
         colors: Mapping[tuple[str, float], Bgr],

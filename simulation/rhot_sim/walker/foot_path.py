@@ -75,7 +75,7 @@ class Plan:
 
     period_s: float
     start: dict[Side, Print]
-    steps: dict[Side, list[Step]]
+    steps: dict[Side, list[PlannedStep]]
     posture: Callable[[FloatArray], Posture]
     turn_rad: float = 0.0
 
@@ -96,7 +96,7 @@ class Choreographer:
         self._half_width = width_m / 2.0
         self.start = {side: self.place(side, 0.0, 0.0, 0.0) for side in SIDES}
         self.prints = dict(self.start)
-        self.steps: dict[Side, list[Step]] = {side: [] for side in SIDES}
+        self.steps: dict[Side, list[PlannedStep]] = {side: [] for side in SIDES}
 
     def place(self, side: Side, x: float, z: float, yaw: float) -> Print:
         """Return where a foot stands when the body stands at (x, z) and faces `yaw`."""
@@ -121,13 +121,15 @@ class Choreographer:
         strike_rad: float = 0.2,
     ) -> None:
         """Make one step and wait until it is over."""
-        self._append(side, Step(self.t_s, self.t_s + duration_s, to, clearance_m, push_rad, strike_rad))
+        self._append(side, PlannedStep(self.t_s, self.t_s + duration_s, to, clearance_m, push_rad, strike_rad))
 
     def lift(
         self, side: Side, via: Sequence[Waypoint], back_s: float, *, push_rad: float = 0.3, push_s: float = 0.2
     ) -> None:
         """Move a foot through poses in the air and put it down where it stood, `back_s` after the last of them."""
-        step = Step(self.t_s, via[-1].t_s + back_s, self.prints[side], 0.0, push_rad, 0.1, via, push_s, 0.75 * push_s)
+        step = PlannedStep(
+            self.t_s, via[-1].t_s + back_s, self.prints[side], 0.0, push_rad, 0.1, via, push_s, 0.75 * push_s
+        )
         self._append(side, step)
 
     def walk(
@@ -148,7 +150,7 @@ class Choreographer:
             strike_rad = 0.05 if level else 0.05 + min(0.25 * length, 0.3)
             end_s = self.t_s + STEP_SPAN * beat_s
             start_s = self.t_s
-            self._append(side, Step(start_s, end_s, to, clearance_m, push_rad, strike_rad))
+            self._append(side, PlannedStep(start_s, end_s, to, clearance_m, push_rad, strike_rad))
             self.t_s = start_s + beat_s * self.rng.uniform(0.96, 1.04)
         self.t_s += (STEP_SPAN - 0.9) * beat_s
 
@@ -185,7 +187,7 @@ class Choreographer:
         self.pause(0.8)
         return Plan(np.ceil(self.t_s * 10.0) / 10.0, self.start, self.steps, posture, turn_rad)
 
-    def _append(self, side: Side, step: Step) -> None:
+    def _append(self, side: Side, step: PlannedStep) -> None:
         self.steps[side].append(step)
         self.prints[side] = step.to
         self.t_s = step.end_s
@@ -253,7 +255,7 @@ class Waypoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class PlannedStep:
     """One step: the foot leaves one print and lands on the next.
 
     Attributes:
@@ -295,7 +297,7 @@ class FootPath:
         steps: in order of time; they do not overlap.
     """
 
-    def __init__(self, sole: Sole, start: Print, steps: Sequence[Step]) -> None:
+    def __init__(self, sole: Sole, start: Print, steps: Sequence[PlannedStep]) -> None:
         self._sole = sole
         self.steps = tuple(steps)
         self._starts: list[float] = []
@@ -370,7 +372,7 @@ class FootPath:
     def _standing(self, place: Print) -> FloatArray:
         return np.array([place.x, self._sole.ankle_height_m, place.z, place.yaw, 0.0, 0.0])
 
-    def _add_step(self, before: Print, step: Step) -> None:
+    def _add_step(self, before: Print, step: PlannedStep) -> None:
         push_s, land_s = step.toe_off_s - step.start_s, step.end_s - step.strike_s
         toe_off = self._pivot_end(before, self._sole.ball, -step.push_rad, -_PIVOT_RATE * step.push_rad / push_s)
         strike = self._pivot_end(step.to, self._sole.heel, step.strike_rad, -_PIVOT_RATE * step.strike_rad / land_s)

@@ -28,7 +28,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import cross_matrix, nearest_rotation, quaternion_from_rotation, rigid
 from rhot.messages import Side
 from rhot_feet.imu.samples import GRAVITY_M_S2
-from rhot_sim.walker.foot_path import OUTWARDS, SIDES, Step
+from rhot_sim.walker.foot_path import OUTWARDS, SIDES, PlannedStep
 from rhot_sim.world.motion import evaluate_spline
 from rhot_sim.world.script import seeded
 
@@ -122,7 +122,7 @@ class AnkleImu:
         seed: int,
         side: Side,
         ankles: Poses,
-        steps: tuple[Step, ...],
+        steps: tuple[PlannedStep, ...],
         period_s: float,
         rate_hz: float,
         errors: ImuErrors | None = None,

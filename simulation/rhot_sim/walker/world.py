@@ -27,7 +27,7 @@ from rhot_sim.walker.foot_path import SIDES
 from rhot_sim.walker.imu import AnkleImu, ImuErrors
 from rhot_sim.walker.person import Person, PersonSample, person_of, transforms
 from rhot_sim.walker.pictures.camera import FrameTiming, frame_timing, intrinsics
-from rhot_sim.walker.pictures.color import Card, ColorRenderer, Image, Scene
+from rhot_sim.walker.pictures.color import Card, ColorRenderer, DrawnScene, Image
 from rhot_sim.walker.pictures.depth import CARD_SHARE, DepthImage, DepthRenderer, limbs_at
 from rhot_sim.walker.pictures.disturbances import Disturbances, Mishaps
 from rhot_sim.walker.programs import LOOK_AT_MARKER
@@ -259,7 +259,7 @@ class WalkerWorld:
 
     def _scene(
         self, sample: PersonSample, cameras: FloatArray, feet: Mapping[Side, FloatArray], moment: int, t_s: float
-    ) -> Scene:
+    ) -> DrawnScene:
         size_m = self.feet_config.marker_size_m
         cells = dict(self._cells)
         litter = [*self.on_floor]
@@ -272,7 +272,7 @@ class WalkerWorld:
         cards = {
             side: Card(feet[side][moment], cells[side], size_m, self._mishaps.covered(side, t_s)) for side in cells
         }
-        return Scene(cameras[moment], limbs_at(self.person, sample, moment), cards, litter)
+        return DrawnScene(cameras[moment], limbs_at(self.person, sample, moment), cards, litter)
 
     def _card_pose(self, T_rig_foot: FloatArray) -> FloatArray:
         card = T_rig_foot.copy()

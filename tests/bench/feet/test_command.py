@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rhot.errors import ConfigError
 from rhot_bench.feet.command import RUNS, feet, feet_sections, key_of, load_played, make_folder, save_played
-from rhot_bench.feet.runs import SIDES, STAGES, Played, Run, Track, play
+from rhot_bench.feet.runs import SIDES, STAGES, FootTrajectory, Played, Run, play
 from rhot_bench.feet.stages import CELLS, PRINTED_M, TASKS, cell_plots, table_5_1
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_tools.measures.provenance import provenance
@@ -22,8 +22,8 @@ def made_up(run: Run, error_m: NDArray[np.float64], *, measured: NDArray[np.bool
     count = len(error_m)
     stage = np.where(measured, STAGES.index("marker"), STAGES.index("lost"))
     truth, off = np.zeros((count, 3)), np.outer(error_m, [0.0, 0.6, 0.8])
-    track = Track(off, truth, measured, stage, np.zeros(count, np.bool_), np.ones(count))
-    thesis = Track(10.0 * off, truth, measured, stage, np.zeros(count, np.bool_), np.ones(count))
+    track = FootTrajectory(off, truth, measured, stage, np.zeros(count, np.bool_), np.ones(count))
+    thesis = FootTrajectory(10.0 * off, truth, measured, stage, np.zeros(count, np.bool_), np.ones(count))
     t_s = np.linspace(0.0, 0.01 * (count - 1), count)
     return Played(
         run,

@@ -6,7 +6,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot_bench.motion.references.plain_ekf import plain_ekf
-from rhot_bench.motion.references.spline_reference import Views, spline_reference, triangulated
+from rhot_bench.motion.references.spline_reference import SplineViews, spline_reference, triangulated
 from rhot_tools.measures.points import MEASURED, Estimates
 
 BASELINE_M = 0.1
@@ -18,7 +18,7 @@ def path(t_s: FloatArray) -> FloatArray:
     return np.column_stack([0.1 * np.sin(9.0 * t_s), 0.05 * np.cos(7.0 * t_s), 0.7 + 0.06 * np.sin(6.0 * t_s)])
 
 
-def swinging(noise_px: float, lost: slice = slice(0)) -> Views:
+def swinging(noise_px: float, lost: slice = slice(0)) -> SplineViews:
     """Views at 60 Hz of two cameras out of step by 7 ms."""
     rng = np.random.default_rng(0)
     t_s = np.sort(np.concatenate([np.arange(0.0, 2.0, 1.0 / 60.0), np.arange(0.007, 2.0, 1.0 / 60.0)]))
@@ -28,7 +28,7 @@ def swinging(noise_px: float, lost: slice = slice(0)) -> Views:
     xy = X[:, :2] / X[:, 2:] + rng.normal(0.0, noise_px / 520.0, (len(t_s), 2))
     kept = np.ones(len(t_s), dtype=bool)
     kept[lost] = False
-    return Views(
+    return SplineViews(
         np.arange(len(t_s))[kept],
         camera[kept],
         np.zeros(int(kept.sum()), dtype=np.int64),

@@ -16,13 +16,13 @@ from rhot.messages import PointSet
 from rhot.recording import load_recording, marker_track_frames
 from rhot.rig import HandFile, Rig
 from rhot_calibration.hand.calibration import measure_hand
-from rhot_calibration.hand.samples.samples import Phases, Window
+from rhot_calibration.hand.samples.samples import Phases, PoseWindow
 from rhot_fusion.core import FusionCore
 
 SHORTEST_M, LONGEST_M = 0.165, 0.212
 """About the 5th percentile of women to the 95th of men."""
 HANDS = 6
-SAID = Phases(Window(1.0, 4.0), Window(5.0, 15.0))
+SAID = Phases(PoseWindow(1.0, 4.0), PoseWindow(5.0, 15.0))
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_without_knuckles_phase_knuckles_follow_from_proportions(person: Callabl
 def test_fingers_bent_in_the_knuckles_phase_are_not_believed(person: Callable[..., Any], rig: Rig) -> None:
     """Fists where straight fingers were promised leave their spheres by far more than 2.5 mm."""
     one = person(32, 0.195)
-    found = measure_hand(one.points, rig, "right", Phases(SAID.flat, Window(16.5, 24.0)))
+    found = measure_hand(one.points, rig, "right", Phases(SAID.flat, PoseWindow(16.5, 24.0)))
     assert found.quality["knuckles_s"] is None
     rows = errors_mm(one.hand, found, rig)
     assert np.mean([abs(error) <= 2.0 * sd for _, error, sd, _ in rows]) >= 0.9
@@ -128,7 +128,7 @@ def test_too_short_a_recording_says_how_long(person: Callable[..., Any], rig: Ri
 
 def test_a_flat_phase_outside_the_recording_is_refused(person: Callable[..., Any], rig: Rig) -> None:
     with pytest.raises(CalibrationError, match=r"flat phase 90\.0 to 93\.0 s"):
-        measure_hand(person(1, 0.19).points, rig, "right", Phases(flat=Window(90.0, 93.0)))
+        measure_hand(person(1, 0.19).points, rig, "right", Phases(flat=PoseWindow(90.0, 93.0)))
 
 
 def test_a_hand_that_was_never_still_is_refused(person: Callable[..., Any], rig: Rig) -> None:

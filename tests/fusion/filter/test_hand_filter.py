@@ -13,7 +13,7 @@ from rhot.arrays import FloatArray
 from rhot_fusion.filter.initialisation import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.motion import motion_of
-from rhot_fusion.filter.smoothing.smoother import Event, Frame, Node, smooth
+from rhot_fusion.filter.smoothing.smoother import Event, Node, RecordedFrame, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import CALIBRATION_DOUBT, CameraNoise, Systematic, stated_px
 from rhot_fusion.filter.tracks import CALIBRATED, GATE
@@ -37,7 +37,7 @@ class Run:
     t_s: FloatArray
     error: FloatArray
     covariance: FloatArray
-    frames: list[Frame]
+    frames: list[RecordedFrame]
 
 
 def run(
@@ -72,7 +72,7 @@ def run(
                 events.append(Event(t_s, marker, ray))
         else:
             hand.step(t_s, views)
-        frames.append(Frame(t_s, c, views, np.ones(COUNT, dtype=bool), events, xy, np.zeros(COUNT)))
+        frames.append(RecordedFrame(t_s, c, views, np.ones(COUNT, dtype=bool), events, xy, np.zeros(COUNT)))
         P = hand.state.covariance.reshape(2, COUNT, 3, 2, COUNT, 3)[0][index, :, 0][index, :, index]
         times.append(t_s)
         errors.append(hand.position - path(t_s))

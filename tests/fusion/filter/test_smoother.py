@@ -11,7 +11,7 @@ from hands.pinholes import CAMERAS, FOCAL_PX
 
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.initialisation import InitialState
-from rhot_fusion.filter.smoothing.smoother import Correct, Event, Frame, Node, bridged, smooth
+from rhot_fusion.filter.smoothing.smoother import Correct, Event, Node, RecordedFrame, bridged, smooth
 from rhot_fusion.filter.state import ROUND, SHARED, State, Views
 from rhot_fusion.filter.tracks import CALIBRATED, PAIR_S
 
@@ -20,7 +20,7 @@ PLACE = np.array([0.02, -0.01, 0.7])
 BEGUN = 12
 
 
-def as_they_are(frames: Sequence[Frame], _: Sequence[State]) -> list[Views]:
+def as_they_are(frames: Sequence[RecordedFrame], _: Sequence[State]) -> list[Views]:
     return [frame.views for frame in frames]
 
 
@@ -41,7 +41,7 @@ def watched(
         correct: what is done to the views.
     """
     variance = ROUND[None] * (NOISE_PX / FOCAL_PX) ** 2
-    frames: list[Frame] = []
+    frames: list[RecordedFrame] = []
     for number in range(30):
         camera = number % 2
         local = CAMERAS[camera].to_camera(PLACE[None])
@@ -60,7 +60,7 @@ def watched(
             events = [Event(number * PERIOD_S, 0, initial, frames[-1], continues=True)]
         taken = np.full(len(views.index), number >= BEGUN - 1 and number not in off_px)
         area_px = np.zeros(len(views.index))
-        frames.append(Frame(number * PERIOD_S, camera, views, taken, events, views.xy, area_px))
+        frames.append(RecordedFrame(number * PERIOD_S, camera, views, taken, events, views.xy, area_px))
     return smooth(frames, 1, CALIBRATED, correct)
 
 
@@ -95,7 +95,7 @@ def test_a_marker_that_was_reinitialised_live_is_smoothed_across() -> None:
 def test_views_are_understood_anew_by_the_path() -> None:
     told = []
 
-    def nearer(frames: Sequence[Frame], states: Sequence[State]) -> list[Views]:
+    def nearer(frames: Sequence[RecordedFrame], states: Sequence[State]) -> list[Views]:
         told.append(states[-1].mean[0, 2])
         closer = PLACE * [1.0, 1.0, 0.9]
         return [
@@ -116,7 +116,7 @@ def test_markers_of_unknown_depth_are_led_to_where_they_were_reinitialised_live(
     variance = ROUND[None].repeat(count, axis=0) * (NOISE_PX / FOCAL_PX) ** 2
     everything, rng = np.arange(count), np.random.default_rng(1)
     tips = everything < count - 1
-    frames: list[Frame] = []
+    frames: list[RecordedFrame] = []
 
     def bent(number: int) -> FloatArray:
         there: FloatArray = rest.copy()
@@ -138,7 +138,7 @@ def test_markers_of_unknown_depth_are_led_to_where_they_were_reinitialised_live(
                 initial = InitialState(mean, np.diag([1e-5] * 3 + [1e-2] * 3), t_s)
                 events.append(Event(t_s, int(marker), initial, frames[-1], continues=number > 1))
         taken = np.full(len(views.index), True)
-        frames.append(Frame(t_s, camera, views, taken, events, views.xy, np.zeros(len(views.index))))
+        frames.append(RecordedFrame(t_s, camera, views, taken, events, views.xy, np.zeros(len(views.index))))
     nodes = smooth(frames, count, CALIBRATED, as_they_are)
     spread_m = [np.sqrt(np.trace(node.covariance[0, :3, :3])) for node in nodes]
     off_m = [np.abs(node.position - bent(number)).max() for number, node in enumerate(nodes)]
@@ -171,7 +171,7 @@ def test_covariances_stay_positive_where_one_marker_starts_anew_among_others() -
     """Depths that are hardly known before: what is removed of the marker's old state must not be subtracted twice."""
     places = PLACE + 0.08 * np.array([[0.0, 0.0, 0.0], [1.0, 0.2, 0.1], [-0.5, 1.0, -0.2]])
     wide = np.diag([1e-4, 1e-4, 1e-2, 1e-1, 1e-1, 1.0])
-    frames: list[Frame] = []
+    frames: list[RecordedFrame] = []
     for number in range(16):
         camera = number % 2
         local = CAMERAS[camera].to_camera(places)
@@ -183,6 +183,6 @@ def test_covariances_stay_positive_where_one_marker_starts_anew_among_others() -
             for k in starting
         ]
         nothing = np.zeros(3, dtype=bool)
-        frames.append(Frame(number * PERIOD_S, camera, views, ~nothing, events, views.xy.copy(), np.zeros(3)))
+        frames.append(RecordedFrame(number * PERIOD_S, camera, views, ~nothing, events, views.xy.copy(), np.zeros(3)))
     for node in smooth(frames, 3, CALIBRATED, as_they_are):
         assert np.linalg.eigvalsh(node.covariance).min() > 0.0

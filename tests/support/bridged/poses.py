@@ -14,7 +14,7 @@ from rhot.geometry.rotations import quaternion_from_rotation, rigid, rotation_x,
 from rhot.messages import HandPose, Joint, ObjectPose, Side, Space
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig import HandFile
-from rhot_bridge.scene import Hand, Scene, Thing
+from rhot_bridge.scene import BridgedHand, Scene, Thing
 
 MODELS: Final[Mapping[Side, HandModel]] = {
     side: HandModel.from_file(HandFile(length_m=0.189), side) for side in ("left", "right")
@@ -47,11 +47,13 @@ def wrist(pose: str, side: Side) -> FloatArray:
     return rigid(R, np.array([0.2 * sign, 1.1, -0.4]))
 
 
-def hand(pose: str, side: Side) -> Hand:
+def hand(pose: str, side: Side) -> BridgedHand:
     """A hand in stage axes."""
     model = MODELS[side]
     joints = model.forward(wrist(pose, side), angles(pose))
-    return Hand(10**18, "measured", 1.0, joints.positions, quaternion_from_rotation(joints.rotations), model.radii)
+    return BridgedHand(
+        10**18, "measured", 1.0, joints.positions, quaternion_from_rotation(joints.rotations), model.radii
+    )
 
 
 def thing(position: tuple[float, float, float], R: FloatArray | None = None) -> Thing:

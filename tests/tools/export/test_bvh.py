@@ -18,7 +18,7 @@ from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_vector, rotation_x, rotation_y, rotation_z
 from rhot.messages import Message
 from rhot_tools.export.bvh import bvh_text, euler_zyx_deg
-from rhot_tools.export.poses import Motion, hand_motion
+from rhot_tools.export.poses import ExportedMotion, hand_motion
 from rhot_tools.export.skeleton_motion import skeleton_motion
 from rhot_tools.recordings.export import export
 
@@ -32,7 +32,7 @@ def stream(model: HandModel, frames: int = 120, rate_hz: float = 60.0) -> list[t
     ]
 
 
-def errors_mm(text: str, motion: Motion) -> NDArray[np.float64]:
+def errors_mm(text: str, motion: ExportedMotion) -> NDArray[np.float64]:
     root, _, frames = read_bvh_file(text)
     assert len(frames) == len(motion.t_ns)
     tips = {f"{chain[-2]} end": chain[-1] for chain in CHAINS.values()}

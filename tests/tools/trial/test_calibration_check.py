@@ -16,7 +16,7 @@ from rhot.rig import CameraCalibration, Rig
 from rhot.rig.cameras import camera_models
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_tools.trial.calibration_check import CalibrationReport, judge_calibration
-from rhot_tools.trial.epipolar_residuals import Track, TrackGatherer, fit_linear, interpolate
+from rhot_tools.trial.epipolar_residuals import PixelTrack, TrackGatherer, fit_linear, interpolate
 
 Angles = tuple[float, float, float]
 
@@ -160,12 +160,12 @@ def test_cameras_without_common_views_are_rejected() -> None:
 
 def test_interpolation_leaves_out_gaps_and_bends() -> None:
     t = np.linspace(0.0, 0.9, 10)
-    track = Track(np.delete(t, 5), np.column_stack([np.delete(2.0 * t, 5), np.zeros(9)]))
+    track = PixelTrack(np.delete(t, 5), np.column_stack([np.delete(2.0 * t, 5), np.zeros(9)]))
     moments = np.array([-0.01, 0.25, 0.45, 0.6, 0.95])
     xy, valid = interpolate(track, moments, 0.15, 1e-3)
     np.testing.assert_array_equal(valid, [False, True, False, True, False])
     np.testing.assert_allclose(xy[valid, 0], 2.0 * moments[valid])
-    bent = Track(t, np.column_stack([np.where(t > 0.45, 1.0, 0.0), np.zeros(10)]))
+    bent = PixelTrack(t, np.column_stack([np.where(t > 0.45, 1.0, 0.0), np.zeros(10)]))
     assert interpolate(bent, np.array([0.15, 0.45]), 0.15, 1e-3)[1].tolist() == [True, False]
 
 

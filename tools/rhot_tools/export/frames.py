@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rhot.arrays import FloatArray
 from rhot.atomic_file import replacing
 from rhot.errors import ConfigError
-from rhot_tools.export.poses import Motion, frame_times_s
+from rhot_tools.export.poses import ExportedMotion, frame_times_s
 
 # C3D (biomechanics, c3d.org), for Mokka, Visual3D, MATLAB and others: markers in millimetres at a steady rate.
 #
@@ -197,7 +197,7 @@ class Frames:
     angles: Mapping[str, FloatArray]
 
 
-def frames_of(motions: Sequence[Motion], rate_hz: float | None = None) -> Frames:
+def frames_of(motions: Sequence[ExportedMotion], rate_hz: float | None = None) -> Frames:
     """Read motions at common moments.
 
     Args:
@@ -224,7 +224,7 @@ def frames_of(motions: Sequence[Motion], rate_hz: float | None = None) -> Frames
     return Frames(rate, t_s, tuple(names), np.concatenate(columns, axis=1), angles)
 
 
-def wrist_angles(motion: Motion) -> dict[str, FloatArray]:
+def wrist_angles(motion: ExportedMotion) -> dict[str, FloatArray]:
     """Return yaw, pitch and roll (N,), radians, of a hand's wrist against the axes of the motion's frame.
 
     R = Ry(yaw)·Rx(pitch)·Rz(roll) with OpenXR's axes of the wrist (−z along the fingers, +y out of the back of the
@@ -255,7 +255,7 @@ def real_rate_hz(t_ns: NDArray[np.int64]) -> float:
     return 1e9 / usual
 
 
-def _markers(motion: Motion) -> tuple[list[str], FloatArray]:
+def _markers(motion: ExportedMotion) -> tuple[list[str], FloatArray]:
     """Return the names and positions (N, M, 3) of a motion's joints, or of a rigid thing's origin and axes."""
     if not motion.is_rigid:
         return [f"{motion.name}_{joint}" for joint in motion.joints], motion.positions

@@ -21,7 +21,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.hull import hull_surface
 from rhot.geometry.rotations import inverse, quaternion_from_rotation, rigid
 from rhot.messages.objects import BoxShape, CylinderShape, MeshShape, ObjectShape, SphereShape
-from rhot_tools.export.poses import Motion
+from rhot_tools.export.poses import ExportedMotion
 from rhot_tools.export.skeleton_motion import SkeletonMotion, skeleton_motion
 
 # Triangles of what is drawn: bones, boxes, cylinders and balls, in metres.
@@ -235,7 +235,7 @@ _FOOT_M: Final = np.array([0.09, 0.06, 0.24])
 _HEAD_M: Final = np.array([0.18, 0.1, 0.1])
 
 
-def gltf_document(motions: Sequence[Motion], frame: str) -> Document:
+def gltf_document(motions: Sequence[ExportedMotion], frame: str) -> Document:
     """Return the scene of motions.
 
     Args:
@@ -259,7 +259,9 @@ def gltf_document(motions: Sequence[Motion], frame: str) -> Document:
     return document
 
 
-def _add_rigid(document: Document, motion: Motion, material: int, times: int, animation: dict[str, Any]) -> list[int]:
+def _add_rigid(
+    document: Document, motion: ExportedMotion, material: int, times: int, animation: dict[str, Any]
+) -> list[int]:
     if motion.name.startswith("foot_"):
         surface = box(_FOOT_M)
     else:
@@ -274,7 +276,7 @@ def _add_rigid(document: Document, motion: Motion, material: int, times: int, an
 
 
 def _add_skeleton(
-    document: Document, motion: Motion, material: int, times: int, animation: dict[str, Any]
+    document: Document, motion: ExportedMotion, material: int, times: int, animation: dict[str, Any]
 ) -> list[int]:
     skeleton = skeleton_motion(motion)
     root = motion.root
@@ -324,7 +326,7 @@ def _first_pose(skeleton: SkeletonMotion) -> list[FloatArray]:
     return poses
 
 
-def _skin_surface(motion: Motion, bind: Sequence[FloatArray]) -> tuple[Mesh, FloatArray]:
+def _skin_surface(motion: ExportedMotion, bind: Sequence[FloatArray]) -> tuple[Mesh, FloatArray]:
     """Return what is drawn of a skeleton in its bind pose, and the joint that moves each corner."""
     parts: list[Mesh] = []
     owners: list[int] = []

@@ -27,7 +27,7 @@ _LIMB_RADIUS_M: Final = 0.03
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class ExportedMotion:
     """One thing over time: a skeleton of joints, or a rigid thing, which is a skeleton of one.
 
     Attributes:
@@ -64,7 +64,7 @@ class Motion:
         """Whether there is one joint alone."""
         return len(self.joints) == 1
 
-    def moved(self, T_to_from: FloatArray) -> Motion:
+    def moved(self, T_to_from: FloatArray) -> ExportedMotion:
         """Return the motion in another frame, T_to_from (4, 4), metres."""
         R = T_to_from[:3, :3]
         return replace(self, positions=self.positions @ R.T + T_to_from[:3, 3], rotations=R @ self.rotations)
@@ -81,7 +81,7 @@ class _Collected:
     incomplete: int = 0
 
 
-def motions(messages: Iterable[tuple[str, Message]], *, measured: bool = False) -> dict[str, Motion]:
+def motions(messages: Iterable[tuple[str, Message]], *, measured: bool = False) -> dict[str, ExportedMotion]:
     """Collect everything that moves, by name; of several poses at one moment the last counts.
 
     Args:
@@ -110,7 +110,7 @@ def motions(messages: Iterable[tuple[str, Message]], *, measured: bool = False) 
     return {name: _motion(name, kept) for name, kept in _with_one_body(found).items() if kept.poses}
 
 
-def hand_motion(messages: Iterable[tuple[str, Message]], side: Side | None) -> Motion:
+def hand_motion(messages: Iterable[tuple[str, Message]], side: Side | None) -> ExportedMotion:
     """Collect the complete poses of one hand, by time.
 
     Args:
@@ -209,12 +209,12 @@ def _ancestors(name: str) -> list[str]:
     return [] if parent is None else [parent, *_ancestors(parent)]
 
 
-def _motion(name: str, kept: _Collected) -> Motion:
+def _motion(name: str, kept: _Collected) -> ExportedMotion:
     t_ns = np.array(sorted(kept.poses), dtype=np.int64)
     stacked = np.stack([kept.poses[moment] for moment in t_ns.tolist()])
     angles = [kept.angles[moment] for moment in t_ns.tolist()]
     names = sorted({each for row in angles for each in row})
-    return Motion(
+    return ExportedMotion(
         name=name,
         joints=kept.joints,
         parents=_parents(kept.joints),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
-from rhot_tools.export.poses import Motion, frame_times_s
+from rhot_tools.export.poses import ExportedMotion, frame_times_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ def tree_order(parents: Sequence[int]) -> list[int]:
     return sorted(range(len(parents)), key=depth)
 
 
-def skeleton_motion(motion: Motion, rate_hz: float | None = None) -> SkeletonMotion:
+def skeleton_motion(motion: ExportedMotion, rate_hz: float | None = None) -> SkeletonMotion:
     """Fit a skeleton to a recorded motion.
 
     Args:
@@ -101,7 +101,7 @@ def skeleton_motion(motion: Motion, rate_hz: float | None = None) -> SkeletonMot
     return SkeletonMotion(motion.joints, motion.parents, 1.0 / rate_hz, offsets, root, local, 0.0)
 
 
-def _offsets(motion: Motion) -> FloatArray:
+def _offsets(motion: ExportedMotion) -> FloatArray:
     """Return each joint's constant position in its parent's axes: median direction, median length."""
     offsets = np.zeros((len(motion.joints), 3))
     for joint, parent in enumerate(motion.parents):
@@ -115,7 +115,7 @@ def _offsets(motion: Motion) -> FloatArray:
     return offsets
 
 
-def _rotated_to_children(motion: Motion, offsets: FloatArray) -> FloatArray:
+def _rotated_to_children(motion: ExportedMotion, offsets: FloatArray) -> FloatArray:
     axes = motion.rotations.copy()
     for joint, parent in enumerate(motion.parents):
         if parent < 0 or parent == motion.root or motion.parents.count(parent) > 1:

@@ -13,7 +13,7 @@ from rhot.errors import ConfigError
 from rhot.geometry.rotations import rigid
 from rhot.messages import HandPose, Message, ObjectPose
 from rhot.messages.objects import ObjectShape
-from rhot_tools.export.poses import Motion, motions
+from rhot_tools.export.poses import ExportedMotion, motions
 from rhot_tools.export.skeleton_motion import rotations_between
 
 TIPS = tuple(JOINTS.index(f"{finger}_tip") for finger in FINGERS)
@@ -102,7 +102,7 @@ def grasp_session(
     )
 
 
-def _chosen(found: dict[str, Motion], prefix: str, wanted: str | None, option: str) -> Motion:
+def _chosen(found: dict[str, ExportedMotion], prefix: str, wanted: str | None, option: str) -> ExportedMotion:
     names = [name for name in found if name.startswith(prefix)]
     if wanted is not None:
         names = [name for name in names if name == prefix + wanted]
@@ -114,7 +114,7 @@ def _chosen(found: dict[str, Motion], prefix: str, wanted: str | None, option: s
     return found[names[0]]
 
 
-def poses_at(motion: Motion, t_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
+def poses_at(motion: ExportedMotion, t_ns: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
     """Return a rigid thing's poses (N, 4, 4) at times between its own, interpolated."""
     before = np.clip(np.searchsorted(motion.t_ns, t_ns, side="right") - 1, 0, len(motion.t_ns) - 2)
     span = motion.t_ns[before + 1] - motion.t_ns[before]

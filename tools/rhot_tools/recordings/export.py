@@ -23,7 +23,7 @@ from rhot_tools.export.bvh import RIG_TO_FILE, STAGE_TO_FILE, bvh_text
 from rhot_tools.export.columns import tables
 from rhot_tools.export.frames import MOST_FRAMES, coordinates_deg, frames_of, mot_text, trc_text, write_c3d
 from rhot_tools.export.gltf import gltf_document
-from rhot_tools.export.poses import Motion, motions
+from rhot_tools.export.poses import ExportedMotion, motions
 from rhot_tools.export.rerun_file import write_rerun
 from rhot_tools.export.skeleton_motion import skeleton_motion
 from rhot_tools.export.source import RecordedMessages, joined_parts
@@ -82,7 +82,7 @@ class MotionTargets:
         return any(file is not None for file in (self.bvh, self.trc, self.mot, self.c3d, self.gltf))
 
 
-def write_motion_files(targets: MotionTargets, found: dict[str, Motion], *, in_stage: bool) -> None:
+def write_motion_files(targets: MotionTargets, found: dict[str, ExportedMotion], *, in_stage: bool) -> None:
     """Write motions and say what was written.
 
     Args:
@@ -122,7 +122,7 @@ def write_motion_files(targets: MotionTargets, found: dict[str, Motion], *, in_s
         click.echo(f"{files[0]}: {len(frames.markers)} markers, {told}, millimetres{parts}")
 
 
-def _chosen(found: dict[str, Motion], name: str | None) -> Motion:
+def _chosen(found: dict[str, ExportedMotion], name: str | None) -> ExportedMotion:
     """Return the motion for the BVH file: the one that was named, else the only hand, else the only thing."""
     names = ", ".join(sorted(found)) or "nothing that moves"
     if name is not None:
@@ -139,7 +139,7 @@ def _chosen(found: dict[str, Motion], name: str | None) -> Motion:
     raise ConfigError(f"the recording holds no complete pose of a hand, but {names}; choose with --bvh-of")
 
 
-def _write_bvh(file: Path, motion: Motion, rate_hz: float | None, *, in_stage: bool) -> None:
+def _write_bvh(file: Path, motion: ExportedMotion, rate_hz: float | None, *, in_stage: bool) -> None:
     skeleton = skeleton_motion(motion, rate_hz)
     write_text_atomic(file, bvh_text(skeleton, STAGE_TO_FILE if in_stage else RIG_TO_FILE))
     console = Console(soft_wrap=True, markup=False)

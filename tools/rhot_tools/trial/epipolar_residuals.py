@@ -65,10 +65,10 @@ class TrackGatherer:
             for name, times in self._frame_times.items()
         }
 
-    def tracks(self) -> dict[str, dict[str, Track]]:
+    def tracks(self) -> dict[str, dict[str, PixelTrack]]:
         """Return the tracks by camera and marker, undistorted; observations outside the picture are left out."""
         start_ns = self.start_ns()
-        result: dict[str, dict[str, Track]] = {}
+        result: dict[str, dict[str, PixelTrack]] = {}
         for camera, markers in self._rows.items():
             model = self._cameras[camera]
             result[camera] = {}
@@ -78,7 +78,7 @@ class TrackGatherer:
                 inside = model.contains(uv)
                 if inside.any():
                     t_s = np.asarray((times[inside] - start_ns) * 1e-9, dtype=np.float64)
-                    result[camera][marker] = Track(t_s, model.undistort(uv[inside]))
+                    result[camera][marker] = PixelTrack(t_s, model.undistort(uv[inside]))
         return result
 
 
@@ -99,7 +99,7 @@ _HUBER, _TUKEY = 1.345, 4.7
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class PixelTrack:
     """Observations of one marker by one camera.
 
     Attributes:
@@ -111,7 +111,7 @@ class Track:
     xy: FloatArray
 
 
-Tracks = Mapping[str, Mapping[str, Track]]
+Tracks = Mapping[str, Mapping[str, PixelTrack]]
 """Camera to marker to track."""
 
 
@@ -214,7 +214,7 @@ def pair_residuals(
     )
 
 
-def interpolate(track: Track, t_s: FloatArray, gap_s: float, bend: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+def interpolate(track: PixelTrack, t_s: FloatArray, gap_s: float, bend: float) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return a track (N, 2) at times (N,) by linear interpolation, and which of them (N,) are valid.
 
     Args:

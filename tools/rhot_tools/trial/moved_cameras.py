@@ -35,7 +35,7 @@ from rhot_calibration.cameras.pictures import read_views
 from rhot_calibration.cameras.solve.views import Board, ViewSet
 from rhot_tools.measures.provenance import provenance
 from rhot_tools.trial.calibration_check import AXES, CalibrationReport, CameraRotation, PairReport, judge_calibration
-from rhot_tools.trial.epipolar_residuals import Track, TrackGatherer, Tracks
+from rhot_tools.trial.epipolar_residuals import PixelTrack, TrackGatherer, Tracks
 
 # What `rhot evaluate calibration` tells: for people, and as JSON.
 
@@ -49,7 +49,7 @@ _CLOCK_FROM_NS: Final = 1_000_000_000_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class SeenTracks:
     """What the cameras saw.
 
     Attributes:
@@ -78,7 +78,7 @@ class Seen:
         return {"t_ns": self.start_ns + round(t_s * 1e9)}
 
 
-def print_report(report: CalibrationReport, file: CamerasFile, seen: Seen, rig_path: Path) -> None:
+def print_report(report: CalibrationReport, file: CamerasFile, seen: SeenTracks, rig_path: Path) -> None:
     """Print the verdict with everything it rests on, to standard output."""
     console = Console(soft_wrap=True, markup=False, highlight=False)
     console.print(_pairs_table(report))
@@ -123,7 +123,7 @@ def _pairs_table(report: CalibrationReport) -> Table:
     return table
 
 
-def _pair_lines(pair: PairReport, seen: Seen) -> Iterator[str]:
+def _pair_lines(pair: PairReport, seen: SeenTracks) -> Iterator[str]:
     a, b, c = pair.line
     sd_a, sd_b, sd_c = pair.line_sd
     yield f"{pair.first}-{pair.second}: {pair.second} against {pair.first} turned by {_rotation_text(pair.rotation)}"
@@ -145,7 +145,7 @@ def _rotation_text(rotation: CameraRotation) -> str:
     return ", ".join(parts)
 
 
-def report_json(report: CalibrationReport, file: CamerasFile, seen: Seen) -> dict[str, Any]:
+def report_json(report: CalibrationReport, file: CamerasFile, seen: SeenTracks) -> dict[str, Any]:
     """Return the report as plain values."""
     moved = report.moved_rotation
     return {
@@ -162,7 +162,7 @@ def _rotation_json(rotation: CameraRotation) -> dict[str, Any]:
     return {"turn_deg": {name: {"value": value, "sd": sd, "observable": seen} for name, value, sd, seen in rows}}
 
 
-def _pair_json(pair: PairReport, seen: Seen) -> dict[str, Any]:
+def _pair_json(pair: PairReport, seen: SeenTracks) -> dict[str, Any]:
     change = pair.change
     return {
         "verdict": pair.verdict,
@@ -263,7 +263,7 @@ def calibration(
 
 def _markers_seen(
     rig: Rig, cameras: Mapping[str, CameraModel], path: Path | None, live_s: float | None, bus: BusConfig
-) -> Seen:
+) -> SeenTracks:
     """Return what a recording or the running rig shows of the markers.
 
     Raises:
@@ -284,10 +284,10 @@ def _markers_seen(
             f"only {len(cameras) - len(empty)} of {len(cameras)} cameras gave frames (none from {', '.join(empty)}); "
             "two are the least"
         )
-    return Seen(gatherer.tracks(), gatherer.periods_s(), gatherer.start_ns())
+    return SeenTracks(gatherer.tracks(), gatherer.periods_s(), gatherer.start_ns())
 
 
-def _board_seen(path: Path, board: Board, cameras: Mapping[str, CameraModel]) -> Seen:
+def _board_seen(path: Path, board: Board, cameras: Mapping[str, CameraModel]) -> SeenTracks:
     """Return what pictures show of a board."""
     with _progress("pictures") as progress:
         task = progress.add_task("", total=None)
@@ -295,10 +295,10 @@ def _board_seen(path: Path, board: Board, cameras: Mapping[str, CameraModel]) ->
         views = read_views(
             path, board, list(cameras), lambda done, total: progress.update(task, completed=done, total=total), sizes
         )
-    return Seen(_board_tracks(views, cameras), dict.fromkeys(cameras, 0.0), None)
+    return SeenTracks(_board_tracks(views, cameras), dict.fromkeys(cameras, 0.0), None)
 
 
-def _board_tracks(views: ViewSet, cameras: Mapping[str, CameraModel]) -> dict[str, dict[str, Track]]:
+def _board_tracks(views: ViewSet, cameras: Mapping[str, CameraModel]) -> dict[str, dict[str, PixelTrack]]:
     """Return the corners of a board in still pictures as tracks: one per corner, the picture's number for seconds.
 
     Pictures of the same number were taken together, so nothing is interpolated between them.
@@ -310,7 +310,9 @@ def _board_tracks(views: ViewSet, cameras: Mapping[str, CameraModel]) -> dict[st
             rows[camera].setdefault(str(corner), {})[number] = place
     return {
         camera: {
-            corner: Track(np.array(sorted(places), dtype=np.float64), np.array([places[n] for n in sorted(places)]))
+            corner: PixelTrack(
+                np.array(sorted(places), dtype=np.float64), np.array([places[n] for n in sorted(places)])
+            )
             for corner, places in corners.items()
         }
         for camera, corners in rows.items()

@@ -26,7 +26,7 @@ from rhot.rig import Rig
 from rhot.rig.cameras import camera_models
 from rhot.text import printable
 from rhot_tools.trial.calibration_check import CalibrationReport, judge_calibration
-from rhot_tools.trial.epipolar_residuals import LEAST_OBSERVATIONS, Track, TrackGatherer, Tracks, pair_residuals
+from rhot_tools.trial.epipolar_residuals import LEAST_OBSERVATIONS, PixelTrack, TrackGatherer, Tracks, pair_residuals
 
 Level = Literal["good", "doubtful", "not usable"]
 _LEVELS: Final = ("good", "doubtful", "not usable")
@@ -352,11 +352,13 @@ def _swapped(
     return residual_px > limit_px and other_px < _SWAP_RATIO * residual_px and other_ahead > _BEHIND
 
 
-def _renormalised(tracks: Mapping[str, Track], taken: CameraModel, belongs: CameraModel) -> dict[str, Track]:
+def _renormalised(tracks: Mapping[str, PixelTrack], taken: CameraModel, belongs: CameraModel) -> dict[str, PixelTrack]:
     """Return tracks that were undistorted with one camera's lens as if by that of the camera that they belong to."""
     at_unit = CameraModel.from_arrays(taken.width, taken.height, taken.K, taken.distortion, np.eye(4))
     return {
-        name: Track(track.t_s, belongs.undistort(at_unit.project(np.column_stack([track.xy, np.ones(len(track.xy))]))))
+        name: PixelTrack(
+            track.t_s, belongs.undistort(at_unit.project(np.column_stack([track.xy, np.ones(len(track.xy))])))
+        )
         for name, track in tracks.items()
     }
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_bench.motion.references.spline_reference import Views, triangulated
+from rhot_bench.motion.references.spline_reference import SplineViews, triangulated
 from rhot_tools.measures.points import MEASURED, ONE_VIEW, PREDICTED, Estimates
 
 
@@ -60,7 +60,7 @@ class _Marker:
         Q = np.kron(np.array([[size**3 / 3.0, dt * size / 2.0], [dt * size / 2.0, size]]), np.eye(3)) * q
         return F @ self.x, F @ self.P @ F.T + Q
 
-    def update(self, camera: int, t_s: float, xy: FloatArray, views: Views) -> None:
+    def update(self, camera: int, t_s: float, xy: FloatArray, views: SplineViews) -> None:
         """Take one view."""
         others = [seen_s for other, (seen_s, _) in self.last.items() if other != camera]
         if self.x is not None and t_s - max(others, default=-np.inf) > self.settings.hold_s:
@@ -90,7 +90,7 @@ class _Marker:
         self.P = kept @ P @ kept.T + noise * gain @ gain.T
         self.last[camera], self.refused[camera] = (t_s, xy), 0
 
-    def _start(self, views: Views) -> None:
+    def _start(self, views: SplineViews) -> None:
         newest = max(t_s for t_s, _ in self.last.values())
         fresh = {c: v for c, v in self.last.items() if newest - v[0] <= 1.01 * views.period_s[c]}
         if len(fresh) < 2:
@@ -110,12 +110,12 @@ class _Marker:
         self.P = np.diag([wrong_m**2] * 3 + [self.settings.velocity_m_s**2] * 3)
 
 
-def _baseline(views: Views, cameras: list[int]) -> float:
+def _baseline(views: SplineViews, cameras: list[int]) -> float:
     centres = np.array([-views.P[c, :, :3].T @ views.P[c, :, 3] for c in cameras])
     return float(np.linalg.norm(centres[0] - centres[-1]))
 
 
-def plain_ekf(views: Views, frames: int, markers: int, settings: EkfSettings | None = None) -> Estimates:
+def plain_ekf(views: SplineViews, frames: int, markers: int, settings: EkfSettings | None = None) -> Estimates:
     """Return what the filter tells after each marker frame, at the median time of that frame's views.
 
     Args:

@@ -23,7 +23,7 @@ from rhot_tools.measures.points import MEASURED, Estimates
 
 
 @dataclass(frozen=True, slots=True)
-class Views:
+class SplineViews:
     """N observations of markers, in the order in which their frames came.
 
     Attributes:
@@ -47,7 +47,7 @@ class Views:
     period_s: FloatArray
 
 
-def views_of(frames: Sequence[MarkerFrame], rig: Rig) -> Views:
+def views_of(frames: Sequence[MarkerFrame], rig: Rig) -> SplineViews:
     """Return all observations of marker frames as the rig's own calibration reads them."""
     models = [camera_model(camera) for camera in rig.cameras.values()]
     index = {name: number for number, name in enumerate(rig.cameras)}
@@ -64,7 +64,7 @@ def views_of(frames: Sequence[MarkerFrame], rig: Rig) -> Views:
         mine = table[:, 1] == number
         xy[mine] = model.undistort(uv[mine])
     times = [np.array([frame.t_ns for frame in frames if frame.camera == name]) for name in rig.cameras]
-    return Views(
+    return SplineViews(
         table[:, 0],
         table[:, 1],
         table[:, 2],
@@ -122,7 +122,7 @@ class SplineSettings:
     gap_periods: float = 4.5
 
 
-def spline_reference(views: Views, markers: int, settings: SplineSettings | None = None) -> Estimates:
+def spline_reference(views: SplineViews, markers: int, settings: SplineSettings | None = None) -> Estimates:
     """Return the points at every row time of every camera at which another camera's spline can be read."""
     settings = settings or SplineSettings()
     origin = int(views.t_ns.min()) if len(views.t_ns) else 0

@@ -46,7 +46,7 @@ class Solution:
 
 
 @dataclass(frozen=True, slots=True)
-class Views:
+class PixelViews:
     """Views of N points in C cameras.
 
     Attributes:
@@ -80,7 +80,7 @@ class Geometry(Protocol):
 
     uses: BoolArray
 
-    def solve(self, views: Views, prior: Prior, sigma: float) -> Solution:
+    def solve(self, views: PixelViews, prior: Prior, sigma: float) -> Solution:
         """Return the points of views; sigma is the standard deviation of a coordinate, normalised units."""
         ...
 
@@ -104,7 +104,7 @@ class Triangulation:
             projected: FloatArray = local[:, :, :2] / local[:, :, 2:]
         return projected
 
-    def solve(self, views: Views, prior: Prior, sigma: float) -> Solution:
+    def solve(self, views: PixelViews, prior: Prior, sigma: float) -> Solution:
         """Triangulate; the depth of a point with a single view comes from the prior.
 
         Args:

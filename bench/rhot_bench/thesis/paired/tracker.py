@@ -16,9 +16,9 @@ from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.rig import FusionConfig, HandFile, MarkerConfig
-from rhot_bench.thesis.paired.marker_states import Geometry, MarkerStates, Prior, Solution, Triangulation, Views
+from rhot_bench.thesis.paired.marker_states import Geometry, MarkerStates, PixelViews, Prior, Solution, Triangulation
 from rhot_bench.thesis.paired.one_euro import PAIRED, OneEuroFilter, OneEuroSettings, PairedConfig
-from rhot_fusion.schedule import Schedule
+from rhot_fusion.schedule import FrameSchedule
 from rhot_fusion.views.epipolar import LONGEST_GAP, ROWS_SHARE, EpipolarModel, Snapshot, Tracks
 from rhot_fusion.views.sightings import HandCoherence, Outcome, Sightings
 
@@ -165,7 +165,7 @@ class DisparityLaw:
         xy[1] = _rotated(seen, self._R.T)
         return xy
 
-    def solve(self, views: Views, prior: Prior, sigma: float) -> Solution:
+    def solve(self, views: PixelViews, prior: Prior, sigma: float) -> Solution:
         """Triangulate by the law; the depth of a point with a single view comes from the prior."""
         count = views.xy.shape[1]
         used = views.used[:2]
@@ -236,7 +236,7 @@ class _Moment:
     """
 
     t_s: float
-    views: Views
+    views: PixelViews
     misses: FloatArray
     plausible: BoolArray
     prior: Prior
@@ -319,7 +319,7 @@ class Association:
         return Outcome(t_s, *(column.tolist() for column in columns))
 
     def _prepare(self, shot: Snapshot, t_s: float) -> _Moment:
-        views = Views(self.epipolar.correct(shot.xy), shot.valid & self._geometry.uses[:, None])
+        views = PixelViews(self.epipolar.correct(shot.xy), shot.valid & self._geometry.uses[:, None])
         predicted = self._states.predict(t_s)
         sigma = max(self.epipolar.spread_px / np.sqrt(2.0), PAIRED.least_noise_px) / self._focal_px
         away = views.xy - self._geometry.project(predicted)
@@ -389,7 +389,7 @@ class Association:
         A plausible point is inside the volume and near its hand, and its views agree.
         """
         prior = Prior(moment.prior.position[index], moment.prior.sigma_m[index])
-        solution = self._geometry.solve(Views(moment.views.xy[:, index], used[:, index]), prior, moment.sigma)
+        solution = self._geometry.solve(PixelViews(moment.views.xy[:, index], used[:, index]), prior, moment.sigma)
         low, high = np.array(self._config.fusion.volume_m)
         gate_px = min(
             1.0 + PAIRED.view_gate_sigmas * self.epipolar.spread_px, max(self._config.fusion.epipolar_limit_px, 2.0)
@@ -433,7 +433,7 @@ class PairedTracker:
         self._config = paired = PairedConfig.of(config)
         self._counts = counts
         self._association = Association(cameras, markers, hand.length_m, paired, counts)
-        self._schedule = Schedule(list(periods_s))
+        self._schedule = FrameSchedule(list(periods_s))
         self._tracks = Tracks(len(cameras), len(markers))
         self._pixels = PixelFilters([float(camera.K[0, 0]) for camera in cameras], len(markers), paired)
         self._cameras = len(cameras)

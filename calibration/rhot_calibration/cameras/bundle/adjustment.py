@@ -290,7 +290,7 @@ _UNDETERMINED = (
 # From views and a rough placement to adjusted geometry: what `bundle` needs, built and taken apart by name.
 
 Key = tuple[str, int]
-Place = tuple[int, str]
+BoardStand = tuple[int, str]
 """Where the board stood: number of the pictures, and a camera's name where that camera's picture is on its own."""
 
 LENS_SD: Final = np.array([0.15, 0.15, 0.04, 0.04, 0.5, 0.7, 0.005, 0.005, 0.2])
@@ -313,7 +313,7 @@ class Adjusted:
     """
 
     cameras: tuple[str, ...]
-    places: tuple[Place, ...]
+    places: tuple[BoardStand, ...]
     keys: tuple[Key, ...]
     observations: Observations
     bundle: Bundle
@@ -335,7 +335,7 @@ class Adjusted:
         index = self.cameras.index(camera)
         return rigid(self.bundle.geometry.camera_R[index], self.bundle.geometry.camera_t[index])
 
-    def T_rig_board(self, place: Place) -> FloatArray:
+    def T_rig_board(self, place: BoardStand) -> FloatArray:
         """Return the pose (4, 4) of the board at a place."""
         index = self.places.index(place)
         return rigid(self.bundle.geometry.board_R[index], self.bundle.geometry.board_t[index])
@@ -349,10 +349,10 @@ class Adjusted:
 def adjust_views(
     board: Board,
     views: Mapping[Key, BoardView],
-    place_of: Mapping[Key, Place],
+    place_of: Mapping[Key, BoardStand],
     lenses: Mapping[str, FloatArray],
     camera_poses: Mapping[str, FloatArray],
-    board_poses: Mapping[Place, FloatArray],
+    board_poses: Mapping[BoardStand, FloatArray],
     widths: Mapping[str, int],
     *,
     corners: FloatArray | None = None,
@@ -404,8 +404,8 @@ def _observations(
     seen: Sequence[BoardView],
     keys: Sequence[Key],
     cameras: Sequence[str],
-    at: Sequence[Place],
-    places: Sequence[Place],
+    at: Sequence[BoardStand],
+    places: Sequence[BoardStand],
 ) -> Observations:
     count = board.columns * board.rows
     uv, mask = np.zeros((len(seen), count, 2)), np.zeros((len(seen), count), dtype=bool)

@@ -18,7 +18,7 @@ from rhot_calibration.cameras.live.coverage import (
     WANTED_VIEWS,
     CameraCoverage,
 )
-from rhot_calibration.cameras.live.session import Progress, State
+from rhot_calibration.cameras.live.session import Progress, SessionState
 
 # A camera's image from its running capture service.
 
@@ -40,7 +40,7 @@ _BAR_CELLS: Final = 10
 _WIDE_UP_TO: Final = 4
 """With more cameras than this, a cell of the map is one character wide instead of two."""
 _ADVICE: Final = 4
-_GOOD: Final = (State.HOLDING, State.ACCEPTED, State.COMPLETE)
+_GOOD: Final = (SessionState.HOLDING, SessionState.ACCEPTED, SessionState.COMPLETE)
 
 
 def session_display(progress: Progress, silent: Mapping[str, str], *, keys: bool) -> RenderableType:
@@ -66,7 +66,7 @@ def session_display(progress: Progress, silent: Mapping[str, str], *, keys: bool
 
 def state_line(progress: Progress) -> str:
     """Return what is happening, in words."""
-    if progress.state is State.HOLDING:
+    if progress.state is SessionState.HOLDING:
         return f"hold still … {progress.count}"
     return str(progress.state.value)
 

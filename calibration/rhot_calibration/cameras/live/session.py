@@ -39,7 +39,7 @@ FRESH_S: Final = 1.5
 """A preview older than this says nothing about where the board is now."""
 
 
-class State(Enum):
+class SessionState(Enum):
     """What the session waits for."""
 
     SEARCHING = "no camera sees the whole board"
@@ -65,7 +65,7 @@ class Progress:
         missing: what to do next, sentences for people, the most urgent first.
     """
 
-    state: State
+    state: SessionState
     count: int
     sets: int
     seeing: tuple[str, ...]
@@ -100,7 +100,7 @@ class Session:
         self._latest: dict[str, BoardView] = {}
         self._now_s = -math.inf
         self._held_from_s: float | None = None
-        self._state = State.SEARCHING
+        self._state = SessionState.SEARCHING
         self._taken = self._summary()
 
     def feed(self, views: Mapping[str, BoardView], t_s: float) -> dict[str, BoardView] | None:
@@ -115,7 +115,7 @@ class Session:
         # A camera that sees the board for the first time cannot tell yet whether it stands still.
         steady = {camera: view for camera, view in views.items() if camera in before}
         self._state = self._judged(before, steady, passed_s)
-        if self._state is not State.HOLDING:
+        if self._state is not SessionState.HOLDING:
             self._held_from_s = None
             return None
         if self._held_from_s is None:
@@ -125,20 +125,24 @@ class Session:
         self._sets.append(steady)
         self._taken = self._summary()
         self._held_from_s = None
-        self._state = State.COMPLETE if self.complete else State.ACCEPTED
+        self._state = SessionState.COMPLETE if self.complete else SessionState.ACCEPTED
         return steady
 
-    def _judged(self, before: Mapping[str, BoardView], views: Mapping[str, BoardView], passed_s: float) -> State:
+    def _judged(self, before: Mapping[str, BoardView], views: Mapping[str, BoardView], passed_s: float) -> SessionState:
         if not self._latest:
-            return State.SEARCHING
+            return SessionState.SEARCHING
         limit_px = max(NOISE_PX, MAX_SPEED_PX_S * passed_s)
         if not views or passed_s > FRESH_S:
-            return State.MOVING
+            return SessionState.MOVING
         if any(_moved_px(before[camera], view) > limit_px for camera, view in views.items()):
-            return State.MOVING
+            return SessionState.MOVING
         if not any(self._is_new(camera, view) for camera, view in views.items()):
-            return State.ACCEPTED if self._state is State.ACCEPTED else State.SIMILAR
-        return State.BLURRED if any(view.sharpness > MAX_EDGE_PX for view in views.values()) else State.HOLDING
+            return SessionState.ACCEPTED if self._state is SessionState.ACCEPTED else SessionState.SIMILAR
+        return (
+            SessionState.BLURRED
+            if any(view.sharpness > MAX_EDGE_PX for view in views.values())
+            else SessionState.HOLDING
+        )
 
     def _is_new(self, camera: str, view: BoardView) -> bool:
         width = self.sizes[camera][0]
@@ -150,7 +154,7 @@ class Session:
             return None
         self._sets.pop()
         self._taken = self._summary()
-        self._held_from_s, self._state = None, State.MOVING
+        self._held_from_s, self._state = None, SessionState.MOVING
         return len(self._sets)
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import inverse, rigid
 from rhot_calibration.cameras.board.grid import half_turn_ambiguous
-from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key, Place, adjust_views
+from rhot_calibration.cameras.bundle.adjustment import Adjusted, BoardStand, Key, adjust_views
 from rhot_calibration.cameras.solve.placement import (
     Candidate,
     Relation,
@@ -37,9 +37,9 @@ class Placement:
     """
 
     views: Mapping[Key, BoardView]
-    place_of: Mapping[Key, Place]
+    place_of: Mapping[Key, BoardStand]
     camera_poses: Mapping[str, FloatArray]
-    board_poses: Mapping[Place, FloatArray]
+    board_poses: Mapping[BoardStand, FloatArray]
     relations: Mapping[tuple[str, str], Relation]
     groups: Sequence[Sequence[str]]
 
@@ -56,8 +56,8 @@ def single_camera(board: Board, views: Mapping[Key, BoardView], lens: FloatArray
     (camera,) = {name for name, _ in views}
     poses = {key: pose_candidates(board.points[view.ids], view.corners, lens) for key, view in views.items()}
     usable = {key: view for key, view in views.items() if poses[key]}
-    place_of: dict[Key, Place] = {key: (key[1], "") for key in usable}
-    at: dict[Place, FloatArray] = {place_of[key]: poses[key][0].T for key in usable}
+    place_of: dict[Key, BoardStand] = {key: (key[1], "") for key in usable}
+    at: dict[BoardStand, FloatArray] = {place_of[key]: poses[key][0].T for key in usable}
     widths = {camera: width}
     adjusted = adjust_views(board, usable, place_of, {camera: lens}, {camera: np.eye(4)}, at, widths)
     whole = sum(len(view.ids) > 0.8 * board.columns * board.rows for view in usable.values())
@@ -94,8 +94,8 @@ def place_cameras(board: Board, views: Mapping[Key, BoardView], alone: Mapping[s
     }
     camera_poses, groups = spanning_tree(relations, list(alone))
     chosen: dict[Key, BoardView] = {}
-    place_of: dict[Key, Place] = {}
-    board_poses: dict[Place, FloatArray] = {}
+    place_of: dict[Key, BoardStand] = {}
+    board_poses: dict[BoardStand, FloatArray] = {}
     for number in sorted({number for poses in candidates.values() for number in poses}):
         claims = [
             _Claim(name, inverse(camera_poses[name]) @ each.T, each)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from rhot.errors import CalibrationError
 from rhot.geometry.rotations import inverse
-from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key, Place, adjust_views
+from rhot_calibration.cameras.bundle.adjustment import Adjusted, BoardStand, Key, adjust_views
 from rhot_calibration.cameras.solve.placement import pose_candidates
 from rhot_calibration.cameras.solve.views import Board, BoardView
 
@@ -25,7 +25,7 @@ def fit_together(
         scale: the board was so many times as large.
     """
     number = next(iter(views))[1]
-    place: Place = number, ""
+    place: BoardStand = number, ""
     lenses = {name: adjusted.lens(name) for name in adjusted.cameras}
     cameras = {name: adjusted.T_camera_rig(name) for name in adjusted.cameras}
     corners = scale * adjusted.bundle.geometry.corners

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_calibration.cameras.bundle.adjustment import Adjusted, Key, Place, adjust_views
+from rhot_calibration.cameras.bundle.adjustment import Adjusted, BoardStand, Key, adjust_views
 from rhot_calibration.cameras.solve.consensus import Placement, place_cameras, single_camera
 from rhot_calibration.cameras.solve.joint_fit import fit_together
 from rhot_calibration.cameras.solve.placement import Relation
@@ -46,7 +46,7 @@ class Solution:
     """
 
     views: Mapping[Key, BoardView]
-    place_of: Mapping[Key, Place]
+    place_of: Mapping[Key, BoardStand]
     adjusted: Adjusted
     left_out: Mapping[Key, float]
     split: tuple[Key, ...]
@@ -116,8 +116,8 @@ class _Work:
     """What changes from round to round."""
 
     views: dict[Key, BoardView]
-    place_of: dict[Key, Place]
-    boards: dict[Place, FloatArray]
+    place_of: dict[Key, BoardStand]
+    boards: dict[BoardStand, FloatArray]
     left_out: dict[Key, float]
     second_chance: set[Key] = field(default_factory=set)
     """Views that were taken back once."""
@@ -177,7 +177,7 @@ def _refine(
     )
 
 
-def _places_of(number: int, work: _Work) -> set[Place]:
+def _places_of(number: int, work: _Work) -> set[BoardStand]:
     return {place for (_, other), place in work.place_of.items() if other == number}
 
 

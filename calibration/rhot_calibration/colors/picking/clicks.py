@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from rhot.arrays import BoolArray, ImageArray
-from rhot_calibration.colors.picking.picks import Place, Places
+from rhot_calibration.colors.picking.picks import Pick, Picks
 from rhot_calibration.colors.picking.regions import regions
 from rhot_capture.preview import mark_positions, preview_jpeg
 
@@ -23,10 +23,10 @@ class ClickedPicture:
 
     camera: str
     image: ImageArray
-    places: dict[str, Place] = field(default_factory=dict)
-    _grown: tuple[Places, dict[str, BoolArray]] = field(default_factory=lambda: ({}, {}))
+    places: dict[str, Pick] = field(default_factory=dict)
+    _grown: tuple[Picks, dict[str, BoolArray]] = field(default_factory=lambda: ({}, {}))
 
-    def regions(self, places: Places) -> dict[str, BoolArray]:
+    def regions(self, places: Picks) -> dict[str, BoolArray]:
         """Return the pixels of the markers at some places, (H, W) bool each; at the same places as before at once.
 
         Growing regions is most of the work of learning colours, and a click changes those of its own picture only.
@@ -57,13 +57,13 @@ class Clicks:
         """
         self.pictures: list[ClickedPicture] = []
         self._markers = tuple(markers)
-        self._order: list[tuple[ClickedPicture, str, Place | None]] = []
+        self._order: list[tuple[ClickedPicture, str, Pick | None]] = []
 
     def add(self, images: Mapping[str, ImageArray]) -> None:
         """Take one more picture of each camera."""
         self.pictures += [ClickedPicture(camera, image) for camera, image in images.items()]
 
-    def click(self, camera: str, marker: str, place: Place) -> str:
+    def click(self, camera: str, marker: str, place: Pick) -> str:
         """Note a click in the newest picture of a camera and return the marker to go on with."""
         picture = self.newest[camera]
         self._order.append((picture, marker, picture.places.get(marker)))

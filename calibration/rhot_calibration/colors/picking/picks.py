@@ -43,17 +43,17 @@ class Box:
         return f"{self.u:g},{self.v:g},{self.width:g},{self.height:g}"
 
 
-Place = tuple[float, float] | Box
+Pick = tuple[float, float] | Box
 """A place (u, v) on a marker, pixels, or a rectangle around it."""
-Places = Mapping[str, Place]
+Picks = Mapping[str, Pick]
 
 
-def place_text(place: Place) -> str:
+def place_text(place: Pick) -> str:
     """Return a place as it is written on the command line."""
     return str(place) if isinstance(place, Box) else f"{place[0]:g},{place[1]:g}"
 
 
-def parse_places(picks: Sequence[str], boxes: Sequence[str], pictures: Sequence[str]) -> list[dict[str, Place]]:
+def parse_places(picks: Sequence[str], boxes: Sequence[str], pictures: Sequence[str]) -> list[dict[str, Pick]]:
     """Return for each picture the markers shown in it: marker name to place or rectangle.
 
     Args:
@@ -64,7 +64,7 @@ def parse_places(picks: Sequence[str], boxes: Sequence[str], pictures: Sequence[
     Raises:
         ConfigError: not of that form, an unknown picture, or a marker shown twice in one picture.
     """
-    chosen: list[dict[str, Place]] = [{} for _ in pictures]
+    chosen: list[dict[str, Pick]] = [{} for _ in pictures]
     for text in picks:
         match = _PICK.fullmatch(text)
         if match is None:
@@ -83,7 +83,7 @@ def parse_places(picks: Sequence[str], boxes: Sequence[str], pictures: Sequence[
 
 
 def _add(
-    chosen: list[dict[str, Place]], option: str, name: str, place: Place, picture: str | None, pictures: Sequence[str]
+    chosen: list[dict[str, Pick]], option: str, name: str, place: Pick, picture: str | None, pictures: Sequence[str]
 ) -> None:
     number = _number(option, picture, pictures)
     if name in chosen[number]:

@@ -16,7 +16,7 @@ import numpy as np
 from rhot.arrays import BoolArray, FloatArray, ImageArray
 from rhot.rig.colors import GaussianColor, log_ratio
 from rhot_calibration.colors.model.fit import COUNTER_FLOOR, fit_component, fit_mixture
-from rhot_calibration.colors.picking.picks import Box, Place, Places
+from rhot_calibration.colors.picking.picks import Box, Pick, Picks
 from rhot_capture.detection.color_table import mixture_fit
 
 # From a rectangle around a marker to the marker's own pixels: the dominant colour in it that is not around it.
@@ -171,7 +171,7 @@ class _View:
     density: FloatArray
 
 
-def prepare(image: ImageArray, places: Places) -> PickImage:
+def prepare(image: ImageArray, places: Picks) -> PickImage:
     """Prepare a picture.
 
     Args:
@@ -186,7 +186,7 @@ def prepare(image: ImageArray, places: Places) -> PickImage:
     return PickImage(image, features, _commonness(features), _colors_of(features[~around]))
 
 
-def _surroundings_of(place: Place, shape: tuple[int, ...]) -> BoolArray:
+def _surroundings_of(place: Pick, shape: tuple[int, ...]) -> BoolArray:
     """Return where a marker may be, generously, (H, W) bool."""
     around = np.zeros(shape, np.uint8)
     if isinstance(place, Box):
@@ -198,7 +198,7 @@ def _surroundings_of(place: Place, shape: tuple[int, ...]) -> BoolArray:
     return around > 0
 
 
-def regions(image: ImageArray, places: Places) -> dict[str, BoolArray]:
+def regions(image: ImageArray, places: Picks) -> dict[str, BoolArray]:
     """Return each shown marker's pixels, (H, W) bool, in one picture.
 
     Args:
@@ -218,7 +218,7 @@ def regions(image: ImageArray, places: Places) -> dict[str, BoolArray]:
     return {name: grown[name] if isinstance(place, Box) else grow(sharper, *place) for name, place in places.items()}
 
 
-def _region(picture: PickImage, place: Place, places: Places) -> BoolArray:
+def _region(picture: PickImage, place: Pick, places: Picks) -> BoolArray:
     if not isinstance(place, Box):
         return grow(picture, *place)
     others = np.zeros(picture.image.shape[:2], bool)

@@ -42,7 +42,7 @@ _FEWEST_FINGERS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class PoseWindow:
     """A stretch of a recording, seconds from its first sample."""
 
     start_s: float
@@ -58,8 +58,8 @@ class Window:
 class Phases:
     """When a recording shows what, as somebody says; None = to be found."""
 
-    flat: Window | None = None
-    knuckles: Window | None = None
+    flat: PoseWindow | None = None
+    knuckles: PoseWindow | None = None
 
 
 FIND_PHASES: Final = Phases()
@@ -72,7 +72,7 @@ _PROMPTS: Final = (
     (21.0, 27.0, "bend the fingers freely, fist and open"),
 )
 """Seconds from and to, and what to do meanwhile."""
-LIVE_PHASES: Final = Phases(flat=Window(4.3, 7.0), knuckles=Window(9.0, 19.5))
+LIVE_PHASES: Final = Phases(flat=PoseWindow(4.3, 7.0), knuckles=PoseWindow(9.0, 19.5))
 LIVE_S: Final = _PROMPTS[-1][1]
 
 
@@ -88,7 +88,7 @@ def reaches(samples: HandSamples) -> FloatArray:
     return found
 
 
-def find_flat(samples: HandSamples, steady: bool = True) -> Window:
+def find_flat(samples: HandSamples, steady: bool = True) -> PoseWindow:
     """Return the half second in which the four fingers together reach furthest and are still, widened while they do.
 
     Args:
@@ -125,10 +125,10 @@ def find_flat(samples: HandSamples, steady: bool = True) -> Window:
         low -= 1
     while high + 1 < len(t) and ahead[high + 1]:
         high += 1
-    return Window(float(t[low]), float(t[high]))
+    return PoseWindow(float(t[low]), float(t[high]))
 
 
-def straight_stretch(seconds: FloatArray, deficit: FloatArray, limit_m: float, flat: Window) -> Window:
+def straight_stretch(seconds: FloatArray, deficit: FloatArray, limit_m: float, flat: PoseWindow) -> PoseWindow:
     """Return the longest stretch in which the fingers' tips stay on their spheres, or the flat one if none is longer.
 
     Args:
@@ -153,7 +153,7 @@ def straight_stretch(seconds: FloatArray, deficit: FloatArray, limit_m: float, f
             start = float(t[k])
         if start is not None and (not one or k == len(straight) - 1):
             if float(t[k]) - start > best.end_s - best.start_s:
-                best = Window(start, float(t[k]))
+                best = PoseWindow(start, float(t[k]))
             start = None
     return best
 

@@ -30,7 +30,7 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import Side
 from rhot_bridge.retarget.vrm import relative, right_product
-from rhot_bridge.scene import Hand
+from rhot_bridge.scene import BridgedHand
 
 BONES: Final = 31
 _C: Final[dict[Side, FloatArray]] = {
@@ -67,7 +67,7 @@ def _tables(number: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     )
 
 
-def openvr_bones(hands: Mapping[Side, Hand]) -> FloatArray:
+def openvr_bones(hands: Mapping[Side, BridgedHand]) -> FloatArray:
     """Return the bones of hands in their parents' axes.
 
     Both hands are computed together: with arrays this small, the number of numpy calls determines the time.

@@ -26,7 +26,7 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_quaternion
 from rhot.messages import Side
-from rhot_bridge.scene import Hand
+from rhot_bridge.scene import BridgedHand
 
 # Products of many quaternions, x y z w, in a few numpy calls.
 
@@ -109,7 +109,7 @@ _BONE_AXIS: Final = {side: rest[_PARENTS] @ np.array([0.0, 0.0, 1.0]) for side, 
 """(15, 3) direction of each bone's parent in the T-pose, along which the bone's joint lies."""
 
 
-def avatar_rotations(hand: Hand, side: Side) -> FloatArray:
+def avatar_rotations(hand: BridgedHand, side: Side) -> FloatArray:
     """Return N_j of each joint of a hand in Unity's axes as quaternions (26, 4), x y z w."""
     rotations: FloatArray = (hand.orientations[:, None, :] @ _UNREST[side])[:, 0]
     return rotations
@@ -127,7 +127,7 @@ def _tables(sides: tuple[Side, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]
     )
 
 
-def finger_bones(hands: Mapping[Side, Hand]) -> FloatArray:
+def finger_bones(hands: Mapping[Side, BridgedHand]) -> FloatArray:
     """Return the finger bones of hands in their parents' axes, in the order of `FINGER_BONES`.
 
     A fading hand approaches the open hand of the T-pose. Both hands are computed together: with arrays this small, the

@@ -27,7 +27,7 @@ from rhot.messages import ObjectShape
 from rhot.rig import BridgeConfig
 from rhot_bridge.links import UdpLink, WebSocketLink
 from rhot_bridge.output import PacketOutput
-from rhot_bridge.scene import Axes, Hand, Poses, Scene, Thing
+from rhot_bridge.scene import Axes, BridgedHand, Poses, Scene, Thing
 
 VERSION: Final = 1
 WEBSOCKET_PORT: Final = 8765
@@ -88,7 +88,7 @@ def _state(poses: Poses) -> str:
     return f'"state":"{poses.state}","weight":{poses.weight:.3f}'
 
 
-def _hand(hand: Hand) -> str:
+def _hand(hand: BridgedHand) -> str:
     return f"{_state(hand)},{_HAND_FORMAT % _numbers(hand.positions, hand.orientations, hand.radii)}"
 
 

@@ -25,7 +25,7 @@ from rhot.clock import RigClock
 from rhot.errors import ConfigError
 from rhot.rig import BridgeConfig
 from rhot_bridge.output import Opened
-from rhot_bridge.scene import Axes, Body, Hand, Scene, Tracked
+from rhot_bridge.scene import Axes, Body, BridgedHand, Scene, Tracked
 
 # The channels of a MoCap stream.
 #
@@ -76,7 +76,7 @@ def sample_of(tracked: Tracked) -> NDArray[np.float32]:
 
 def joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
     """Return the names of all joints that a sample may have; for a rigid body, its own name."""
-    if isinstance(tracked, Hand):
+    if isinstance(tracked, BridgedHand):
         return JOINTS
     return tuple(BODY_PARENTS) if isinstance(tracked, Body) else (name,)
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from rhot.anatomy.markers import Marker, own_paints, worn_paints
+from rhot.anatomy.markers import PaintedMarker, own_paints, worn_paints
 from rhot.arrays import ImageArray
 from rhot.errors import ConfigError
 from rhot.geometry.hull import Region
@@ -26,14 +26,14 @@ from rhot_capture.detection.hand.sharing import SharedPaints, spot_of
 from rhot_capture.detection.result import Decisions, Detection
 from rhot_capture.detection.score import probability
 from rhot_capture.detection.subpixel.batch import find_centres
-from rhot_capture.detection.subpixel.windows import Window
+from rhot_capture.detection.subpixel.windows import BlobWindow
 from rhot_capture.detection.track import MarkerTrack, find_regions
 
 
 class MarkerDetector:
     """Detects all markers in the frames of one camera."""
 
-    def __init__(self, markers: Mapping[str, Marker], table: ColorTable, width: int, height: int) -> None:
+    def __init__(self, markers: Mapping[str, PaintedMarker], table: ColorTable, width: int, height: int) -> None:
         """Build the detector for frames of one size.
 
         Args:
@@ -259,7 +259,7 @@ class MarkerDetector:
             # At the image border a part of the rim is missing, so the effect of the gain on the rest would not cancel.
             blob, is_cap = one.blob, self._markers[name].kind == "cap"
             whole = blob.border_share == 0.0
-            windows.append(Window(image[blob.window], blob.mask, is_cap and whole, not is_cap and whole))
+            windows.append(BlobWindow(image[blob.window], blob.mask, is_cap and whole, not is_cap and whole))
         found, shares = {}, {}
         for (name, one), centre in zip(chosen.items(), find_centres(windows, self._table.skin), strict=True):
             blob = one.blob

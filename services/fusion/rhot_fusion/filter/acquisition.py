@@ -12,7 +12,7 @@ import numpy as np
 
 from rhot.anatomy.hand import HandModel
 from rhot.anatomy.hand_proportions import HandMeasures
-from rhot.anatomy.markers import Marker
+from rhot.anatomy.markers import PaintedMarker
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
@@ -32,7 +32,7 @@ from rhot_fusion.filter.tracks import (
     TrackSettings,
     TrackStatus,
 )
-from rhot_fusion.schedule import Schedule
+from rhot_fusion.schedule import FrameSchedule
 from rhot_fusion.views.sightings import HandCoherence, Sightings, TrackingLimits, Vector
 
 _DEPTH_MARKERS: Final = 1
@@ -49,7 +49,7 @@ class Candidates:
         cameras: Sequence[CameraModel],
         markers: int,
         coherence: HandCoherence,
-        schedule: Schedule,
+        schedule: FrameSchedule,
         counts: Counter[str],
     ) -> None:
         """Start without views; increments `behind_cameras` and `gated` of counts."""
@@ -127,7 +127,7 @@ class Candidates:
 
 
 @dataclass(frozen=True, slots=True)
-class Hand:
+class TrackedHand:
     """The markers of one hand.
 
     Attributes:
@@ -185,10 +185,10 @@ class Acquisition:
 
     def __init__(
         self,
-        hands: Sequence[Hand],
+        hands: Sequence[TrackedHand],
         cameras: Sequence[CameraModel],
         coherence: HandCoherence,
-        schedule: Schedule,
+        schedule: FrameSchedule,
         limits: TrackingLimits,
         settings: TrackSettings,
         counts: Counter[str],
@@ -229,7 +229,7 @@ class Acquisition:
             return True
         return not self._is_recent(track.seen_s, t_s)
 
-    def _is_expected(self, hand: Hand, k: int, initial: InitialState, t_s: float) -> bool:
+    def _is_expected(self, hand: TrackedHand, k: int, initial: InitialState, t_s: float) -> bool:
         """Return whether a marker can have moved to an initial state; rules out single false blobs."""
         state = hand.filter.predicted(max(t_s, hand.filter.state.t_s))
         rows = slice(3 * k, 3 * k + 3)
@@ -320,8 +320,8 @@ class Acquisition:
 
 
 def hands_of(
-    described: Mapping[str, Marker], measures: HandMeasures, cameras: Sequence[CameraModel], *, record: bool
-) -> list[Hand]:
+    described: Mapping[str, PaintedMarker], measures: HandMeasures, cameras: Sequence[CameraModel], *, record: bool
+) -> list[TrackedHand]:
     """Return the hands that wear the described markers; `record` keeps their frames."""
     names, markers = list(described), list(described.values())
     sides = np.array([marker.hand for marker in markers])
@@ -351,11 +351,11 @@ def hands_of(
                     reach_m[k] = float(np.linalg.norm(away - beside_m[k] * aside))
         place_of = {marker: k for k, marker in enumerate(index.tolist())}
         kept = HandRecord(index, cameras) if record else None
-        hands.append(Hand(index, index.tolist(), place_of, base, across, beside_m, reach_m, joint, kept))
+        hands.append(TrackedHand(index, index.tolist(), place_of, base, across, beside_m, reach_m, joint, kept))
     return hands
 
 
-def radii_of(markers: Mapping[str, Marker], measures: HandMeasures) -> FloatArray:
+def radii_of(markers: Mapping[str, PaintedMarker], measures: HandMeasures) -> FloatArray:
     """Return the radii (M,) of the painted fingertips, metres; 0 for markers of another kind."""
     radii = []
     for marker in markers.values():

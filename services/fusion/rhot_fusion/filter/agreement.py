@@ -16,7 +16,7 @@ import numpy as np
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.camera import CameraModel, rays_meet_ahead
 from rhot.quality import epipolar_limit_px
-from rhot_fusion.schedule import Schedule
+from rhot_fusion.schedule import FrameSchedule
 from rhot_fusion.views.epipolar import DEPTH, LONGEST_GAP, ROWS_SHARE, EpipolarModel, Tracks
 from rhot_fusion.views.sightings import Sightings
 
@@ -94,7 +94,7 @@ class CameraAgreement:
             return xy
         return self.epipolar.correct_one(camera, xy)
 
-    def watch(self, sightings: Sightings, schedule: Schedule) -> None:
+    def watch(self, sightings: Sightings, schedule: FrameSchedule) -> None:
         """Process a frame's uncorrected views; the schedule must already have been updated with it."""
         self._newest[sightings.camera].append(sightings)
         moment_s, period_s = schedule.common_moment(), schedule.longest_period_s

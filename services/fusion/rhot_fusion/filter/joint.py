@@ -16,8 +16,8 @@ import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.filter.motion import Motion, motion_of
-from rhot_fusion.filter.state import ROUND, SHARED, Innovation, State, Step, Views
+from rhot_fusion.filter.motion import MotionModel, motion_of
+from rhot_fusion.filter.state import ROUND, SHARED, FilterStep, Innovation, State, Views
 from rhot_fusion.views.sightings import Upper, Vector
 
 SCALES: Final = (0.01, 0.1, 0.5, 1.6, 5.0, 16.0)
@@ -60,7 +60,7 @@ class JointFilter:
         self._limit = gate if refuses else math.inf
         self._scales2: FloatArray = np.square(SCALES)
         self._shares: FloatArray = np.array(SHARES)
-        self._motion: Motion | None = None
+        self._motion: MotionModel | None = None
         size = 6 * count + SHARED
         self._identity: FloatArray = np.eye(size)
         self._nothing: FloatArray = np.zeros((size, size))
@@ -146,7 +146,7 @@ class JointFilter:
         state, dt, _, Q = self._moved(t_s)
         return state if dt == 0.0 else replace(state, P=state.P + self._scale2(state.weight) * Q)
 
-    def step(self, t_s: float, views: Views, scale2: float | None = None) -> tuple[Innovation, Step]:
+    def step(self, t_s: float, views: Views, scale2: float | None = None) -> tuple[Innovation, FilterStep]:
         """Predict to a time not before the filter's and update with a frame's views of markers that are alive.
 
         Args:
@@ -160,7 +160,7 @@ class JointFilter:
             self.state = replace(state, P=state.P + scale2 * Q)
             nothing = np.zeros(0)
             empty = Innovation(np.zeros((0, 2)), np.zeros((0, 3)), nothing, nothing > 0.0, np.zeros_like(self._scales2))
-            return empty, Step(dt, F, self.state, self.state)
+            return empty, FilterStep(dt, F, self.state, self.state)
         H, y = self._observation(state, views)
         HP, HQ = H @ state.P, H @ Q
         S, S_more = HP @ H.T, HQ @ H.T
@@ -184,7 +184,7 @@ class JointFilter:
             variance = variance + np.maximum(innovation.nis / _HUBER - 1.0, 0.0)[:, None] * doubted
         _add_blocks(S, variance)
         self.state = _updated(before, HP, S, y, innovation.accepted)
-        return innovation, Step(dt, F, before, self.state)
+        return innovation, FilterStep(dt, F, before, self.state)
 
     def _scale2(self, weight: FloatArray) -> float:
         return float(weight @ self._scales2)
@@ -211,7 +211,7 @@ class JointFilter:
         weight = stay * old.weight + (1.0 - stay) * self._shares
         return State(t_s, F @ old.x, F @ old.P @ F.T, weight, old.alive), dt, F, motion.noise(dt)
 
-    def _motion_of(self, state: State) -> Motion:
+    def _motion_of(self, state: State) -> MotionModel:
         known, alive = self._motion, state.alive
         position = state.x[: 3 * self._count].reshape(-1, 3)
         if known is not None and (known.alive is alive or (known.alive == alive).all()):

@@ -53,7 +53,7 @@ _SERIES = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class MotionModel:
     """Transition and process noise of a state (n = 6 M + 6) over any time step, for given marker positions.
 
     Attributes:
@@ -86,7 +86,7 @@ class Motion:
         return _combined((pp, pv, vv, s_zz, *shared), self.noises)
 
 
-def motion_of(position: FloatArray, alive: BoolArray) -> Motion:
+def motion_of(position: FloatArray, alive: BoolArray) -> MotionModel:
     """Return the motion of the markers at positions (M, 3), metres, of which some are alive (M,)."""
     half = 3 * len(position)
     p, v, z = slice(half), slice(half, 2 * half), slice(2 * half, None)
@@ -99,7 +99,7 @@ def motion_of(position: FloatArray, alive: BoolArray) -> Motion:
     Q[7, p, z] = Q[8, v, z] = BD
     Q[7, z, p] = Q[8, z, v] = BD.T
     index = slice(None) if alive.all() else alive
-    return Motion(position, alive, index, F.reshape(6, -1), Q.reshape(9, -1))
+    return MotionModel(position, alive, index, F.reshape(6, -1), Q.reshape(9, -1))
 
 
 @lru_cache

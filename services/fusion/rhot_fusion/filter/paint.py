@@ -204,7 +204,7 @@ class Paint:
         middle = self._middle[camera]
         shifts = []
         for marker, area, tip, base, reach in zip(markers, areas_px, tips, bases, reaches_m, strict=True):
-            told, shown = self._told(tip, base, reach), self._shown[marker][camera]
+            told, shown = self._extension(tip, base, reach), self._shown[marker][camera]
             finger = [(told, (tip[0] - base[0], tip[1] - base[1], tip[2] - base[2]))] if told > 0.0 else []
             if (from_skin := self._skin.direction(camera, marker, shown.t_s)) is not None:
                 finger.append((1.0, from_skin))
@@ -218,7 +218,7 @@ class Paint:
             shifts.append((size * (x - tip[0] / depth * z) / depth, size * (y - tip[1] / depth * z) / depth))
         return shifts
 
-    def _told(self, tip: Vector, base: Vector, reach_m: float) -> float:
+    def _extension(self, tip: Vector, base: Vector, reach_m: float) -> float:
         """Return the weight, 0 to 1, of the direction from knuckle to tip as the direction of the finger's end."""
         if reach_m <= 0.0:
             return 1.0

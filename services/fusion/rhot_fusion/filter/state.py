@@ -109,7 +109,7 @@ class Innovation:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class FilterStep:
     """One filter step, as needed for smoothing.
 
     Attributes:

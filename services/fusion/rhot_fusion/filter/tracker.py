@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rhot.anatomy.hand_proportions import HandMeasures
-from rhot.anatomy.markers import Marker
+from rhot.anatomy.markers import PaintedMarker
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel, CameraRig
 from rhot.quality import pair_epipolar_p95_px
-from rhot_fusion.filter.acquisition import Acquisition, Hand, hands_of, radii_of
+from rhot_fusion.filter.acquisition import Acquisition, TrackedHand, hands_of, radii_of
 from rhot_fusion.filter.agreement import CameraAgreement
 from rhot_fusion.filter.paint import Paint, PaintBefore
 from rhot_fusion.filter.smoothing.record import outcomes
-from rhot_fusion.filter.smoothing.smoother import Frame
+from rhot_fusion.filter.smoothing.smoother import RecordedFrame
 from rhot_fusion.filter.state import ROUND, Innovation, State, Views, pace_squares
 from rhot_fusion.filter.systematic import CameraNoise, Systematic, stated_px
 from rhot_fusion.filter.tracks import (
@@ -36,14 +36,14 @@ from rhot_fusion.filter.tracks import (
     outcome_of,
     within_hand,
 )
-from rhot_fusion.schedule import Schedule
+from rhot_fusion.schedule import FrameSchedule
 from rhot_fusion.views.epipolar import EpipolarModel
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, HandCoherence, Outcome, Sightings, TrackingLimits, vector
 
 # Paint corrections of the views in a recording, recomputed from the smoothed marker positions.
 
 if TYPE_CHECKING:
-    from rhot_fusion.filter.acquisition import Hand
+    from rhot_fusion.filter.acquisition import TrackedHand
 
 _NEAREST_M = 0.1
 """Lower bound of a marker's depth."""
@@ -63,7 +63,7 @@ class PaintCorrection:
         time_variance: of the time stamps, square seconds.
     """
 
-    hand: Hand
+    hand: TrackedHand
     cameras: Sequence[CameraModel]
     paint: Paint
     variance_of: Callable[[int], float]
@@ -71,7 +71,7 @@ class PaintCorrection:
     loose_m: float
     time_variance: float
 
-    def __call__(self, frames: Sequence[Frame], states: Sequence[State]) -> list[Views]:
+    def __call__(self, frames: Sequence[RecordedFrame], states: Sequence[State]) -> list[Views]:
         """Return the corrected views of frames in order of time, given the smoothed states.
 
         The variance for paint hidden from all cameras is stored in the frames.
@@ -84,7 +84,7 @@ class PaintCorrection:
             frame.hidden_m2 = np.array([self.paint.hidden_m2(marker) for marker in self.hand.markers])
         return views
 
-    def _views(self, frame: Frame, state: State, hand_depths_m: list[float]) -> Views:
+    def _views(self, frame: RecordedFrame, state: State, hand_depths_m: list[float]) -> Views:
         """Return a frame's corrected views; updates the hand's depth in its camera, which is kept while unknown."""
         views, local = frame.views, frame.views.index.tolist()
         if not local:
@@ -127,7 +127,7 @@ class FilterTracker:
     def __init__(
         self,
         rig: CameraRig,
-        markers: Mapping[str, Marker],
+        markers: Mapping[str, PaintedMarker],
         hand: HandMeasures,
         limits: TrackingLimits,
         counts: Counter[str],
@@ -143,7 +143,7 @@ class FilterTracker:
         cameras = self._cameras = list(rig.models)
         self._limits, self._counts, self._count = limits, counts, len(markers)
         self._hands = hands_of(markers, hand, cameras, record=record)
-        self._schedule = Schedule([1.0 / rate_hz for rate_hz in rig.rates_hz])
+        self._schedule = FrameSchedule([1.0 / rate_hz for rate_hz in rig.rates_hz])
         coherence = HandCoherence(markers, hand.length_m)
         self._acquisition = Acquisition(self._hands, cameras, coherence, self._schedule, limits, self._settings, counts)
         self.noise = CameraNoise(cameras, stated_px(rig.names, rig.quality), rig.calibrated)
@@ -306,11 +306,11 @@ class FilterTracker:
                 if (hand.filter.state.alive == state.alive).all():
                     hand.filter.state = state
         self._counts["late_frames"] += bool(newer)
-        self._take(sightings)
+        self._process(sightings)
         for later in reversed(newer):
-            self._take(later, again=True)
+            self._process(later, again=True)
 
-    def _take(self, sightings: Sightings, *, again: bool = False) -> None:
+    def _process(self, sightings: Sightings, *, again: bool = False) -> None:
         """Update the markers with a frame; `again` = it was processed before, only states are recomputed."""
         begun, camera, t_s = self._acquisition.begun, sightings.camera, sightings.t_s
         self._history.append((sightings, [hand.filter.state for hand in self._hands], self._paint.before(camera)))
@@ -346,7 +346,7 @@ class FilterTracker:
         if self._acquisition.begun > begun:
             self._history.clear()
 
-    def _depths(self, hand: Hand, camera: int, markers: Sequence[int]) -> list[float]:
+    def _depths(self, hand: TrackedHand, camera: int, markers: Sequence[int]) -> list[float]:
         """Return the depths (N,) of markers in a camera; unknown ones get the current or last depth of their hand."""
         alive = hand.filter.state.alive.tolist()
         depths = [max(depth, 0.1) for _, _, depth in hand.filter.seen_from(self._cameras[camera])]
@@ -359,9 +359,9 @@ class FilterTracker:
         return [depths[hand.place_of[marker]] for marker in markers]
 
     def _update(
-        self, hand: Hand, sightings: Sightings, variance: FloatArray, taken: list[bool], *, again: bool = False
+        self, hand: TrackedHand, sightings: Sightings, variance: FloatArray, taken: list[bool], *, again: bool = False
     ) -> None:
-        """Update a hand's filter with those (N,) of its occlusion-corrected views that are `taken`; see `_take`."""
+        """Update a hand's filter with those (N,) of its occlusion-corrected views that are `taken`; see `_process`."""
         if not any(taken):
             return
         if not all(taken):

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rhot.anatomy.markers import Marker
+from rhot.anatomy.markers import PaintedMarker
 from rhot.geometry.camera import CameraModel
 from rhot.types import Pixels, Vector3
 from rhot_fusion.views.sightings import Vector, dot, vector
@@ -79,7 +79,7 @@ class PatchCorners:
         names: markers that are rectangles of known size.
     """
 
-    def __init__(self, markers: Mapping[str, Marker], cameras: Sequence[CameraModel]) -> None:
+    def __init__(self, markers: Mapping[str, PaintedMarker], cameras: Sequence[CameraModel]) -> None:
         sizes = {
             name: sorted(marker.size_m) for name, marker in markers.items() if marker.kind == "patch" and marker.size_m
         }

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.markers import Marker
+from rhot.anatomy.markers import PaintedMarker
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.types import PointState
 from rhot_fusion.views.epipolar import EpipolarModel
@@ -32,7 +32,7 @@ class HandCoherence:
         company: (M, M) the same as a matrix: 1 = same hand, 0 = other hand or the marker itself.
     """
 
-    def __init__(self, markers: Mapping[str, Marker], hand_length_m: float) -> None:
+    def __init__(self, markers: Mapping[str, PaintedMarker], hand_length_m: float) -> None:
         sides = np.array([marker.hand for marker in markers.values()])
         self._hands: list[IndexArray] = [np.flatnonzero(sides == side) for side in np.unique(sides)]
         self._hand_of: IndexArray = np.searchsorted(np.unique(sides), sides)

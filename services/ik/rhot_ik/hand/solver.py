@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from rhot.anatomy.hand import HandModel, patch_outline
-from rhot.anatomy.markers import Marker
+from rhot.anatomy.markers import PaintedMarker
 from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
@@ -237,7 +237,7 @@ class HandSolver:
     def __init__(
         self,
         model: HandModel,
-        markers: Mapping[str, Marker],
+        markers: Mapping[str, PaintedMarker],
         base: str,
         config: SolverOptions,
         viewpoint: FloatArray | None = None,

@@ -166,7 +166,7 @@ class GraspService:
             mailbox.keep_slot_of(sample.key)
             waited_s = (time.monotonic_ns() - sample.arrived_ns) / 1e9
             rare = keys == _SPACES
-            self._take(sample.key, message, math.nan if rare else self._now_ms() - 1e3 * waited_s)
+            self._store(sample.key, message, math.nan if rare else self._now_ms() - 1e3 * waited_s)
             if not rare:
                 node.status.tick("input")
                 node.status.latency("to_page", (time.monotonic_ns() - sample.arrived_ns) / 1e9)
@@ -178,7 +178,7 @@ class GraspService:
             return any(browser.wants_truth for browser in self.server.browsers)
         return bool(self.server.browsers)
 
-    def _take(self, key: str, message: Message, bus_ms: float = math.nan) -> None:
+    def _store(self, key: str, message: Message, bus_ms: float = math.nan) -> None:
         text = text_of(message)
         if text is None:
             return
@@ -204,7 +204,7 @@ class GraspService:
             for reply in await node.bus.get(_SPACES, timeout_s=repeat_s):
                 if not reply.error:
                     with contextlib.suppress(WireError):
-                        self._take(reply.key, decode(reply.payload, Space))
+                        self._store(reply.key, decode(reply.payload, Space))
 
     async def _follow_folder(self) -> None:
         """Reload the rig folder when it changes, so that a new hand, floor or registration is shown at once."""

@@ -54,7 +54,7 @@ class Card:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DrawnScene:
     """What there is to paint at one moment.
 
     Attributes:
@@ -93,7 +93,7 @@ class ColorRenderer:
         v = (np.array([0.0, height - 1.0]) - K[1, 2]) / K[1, 1]
         self._corner_rays = np.array([[x, y, 1.0] for y in v for x in u])
 
-    def render(self, scenes: Sequence[Scene], light: float) -> Image:
+    def render(self, scenes: Sequence[DrawnScene], light: float) -> Image:
         """Return the mean picture (H, W, 3), uint8 BGR, of one exposure's moments under a lamp of this brightness."""
         if len(scenes) == 1:
             image = self._ground(scenes[0].T_rig_camera)
@@ -118,7 +118,7 @@ class ColorRenderer:
         pixels[seen[:, 2] < _NEAREST_M] = np.nan
         return pixels
 
-    def _window(self, scenes: Sequence[Scene]) -> tuple[slice, slice]:
+    def _window(self, scenes: Sequence[DrawnScene]) -> tuple[slice, slice]:
         """Return the rows and columns between which everything but the floor lies."""
         low, high = np.array(self._size), np.zeros(2, dtype=int)
         for scene in scenes:
@@ -134,7 +134,7 @@ class ColorRenderer:
         low, high = np.maximum(low, 0), np.minimum(high, self._size)
         return slice(int(low[1]), max(int(high[1]), int(low[1]))), slice(int(low[0]), max(int(high[0]), int(low[0])))
 
-    def _paint(self, image: Image, scene: Scene) -> None:
+    def _paint(self, image: Image, scene: DrawnScene) -> None:
         """Paint all but the floor, from far to near, into an image in place."""
         for card in scene.litter:
             self._paint_card(image, scene.T_rig_camera, card)

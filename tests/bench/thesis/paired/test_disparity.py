@@ -11,7 +11,7 @@ from marker_streams import Motion, models, truth_figures, watch
 
 from rhot.errors import ConfigError
 from rhot.rig import Rig
-from rhot_bench.thesis.paired.marker_states import Prior, Views
+from rhot_bench.thesis.paired.marker_states import PixelViews, Prior
 from rhot_bench.thesis.paired.tracker import DisparityLaw, depth_from_disparity, disparity_from_depth
 from rhot_fusion.core import FusionCore
 
@@ -48,7 +48,7 @@ def test_points_come_back_through_the_law(make_rig: Callable[..., Rig]) -> None:
     truth = np.array([[0.0, 0.0, 0.8], [0.1, -0.05, 0.6], [-0.2, 0.1, 1.1]])
     xy = law.project(truth)
     nothing = Prior(np.full((3, 3), np.nan), np.ones(3))
-    solution = law.solve(Views(xy, np.ones((2, 3), dtype=bool)), nothing, 1e-3)
+    solution = law.solve(PixelViews(xy, np.ones((2, 3), dtype=bool)), nothing, 1e-3)
     np.testing.assert_allclose(solution.position, truth, atol=1e-9)
     focal_px = models(make_rig())[0].K[0, 0]
     np.testing.assert_allclose(
@@ -63,7 +63,7 @@ def test_single_view_takes_its_depth_from_the_prior(make_rig: Callable[..., Rig]
     used = np.zeros((2, 1), dtype=bool)
     used[camera] = True
     believed = Prior(truth + np.array([[0.02, 0.02, 0.0]]), np.array([0.05]))
-    solution = law.solve(Views(law.project(truth), used), believed, 1e-3)
+    solution = law.solve(PixelViews(law.project(truth), used), believed, 1e-3)
     np.testing.assert_allclose(solution.position, truth, atol=1e-9)
 
 
@@ -72,7 +72,7 @@ def test_either_order_of_the_cameras_works(make_rig: Callable[..., Rig], places:
     law = DisparityLaw(models(make_rig(places=places)), LAW)
     truth = np.array([[0.05, 0.0, 0.8]])
     nothing = Prior(np.full((1, 3), np.nan), np.ones(1))
-    solution = law.solve(Views(law.project(truth), np.ones((2, 1), dtype=bool)), nothing, 1e-3)
+    solution = law.solve(PixelViews(law.project(truth), np.ones((2, 1), dtype=bool)), nothing, 1e-3)
     np.testing.assert_allclose(solution.position, truth, atol=1e-9)
 
 
@@ -80,7 +80,7 @@ def test_negative_disparity_is_refused(make_rig: Callable[..., Rig]) -> None:
     law = DisparityLaw(models(make_rig()), LAW)
     xy = law.project(np.array([[0.0, 0.0, 0.8]]))[::-1]
     nothing = Prior(np.full((1, 3), np.nan), np.ones(1))
-    solution = law.solve(Views(xy, np.ones((2, 1), dtype=bool)), nothing, 1e-3)
+    solution = law.solve(PixelViews(xy, np.ones((2, 1), dtype=bool)), nothing, 1e-3)
     assert not solution.in_front.any()
     assert np.isnan(solution.position).all()
 

@@ -8,7 +8,7 @@ from marker_streams import pinhole_cameras
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.rig.cameras import camera_model
-from rhot_bench.thesis.paired.marker_states import Prior, Triangulation, Views
+from rhot_bench.thesis.paired.marker_states import PixelViews, Prior, Triangulation
 
 DISTORTION = np.array([0.19, -0.48, 0.001, -0.0007, 0.30])
 SIGMA = 1e-3
@@ -41,7 +41,7 @@ def test_projection_and_triangulation_invert_each_other(
     models = cameras(count, DISTORTION if distorted else None)
     truth = np.array([point])
     xy = seen(models, truth)
-    solution = Triangulation(models).solve(Views(xy, np.isfinite(xy[:, :, 0])), no_prior(1), SIGMA)
+    solution = Triangulation(models).solve(PixelViews(xy, np.isfinite(xy[:, :, 0])), no_prior(1), SIGMA)
     np.testing.assert_allclose(solution.position, truth, atol=1e-6)
     assert solution.in_front.all()
     assert solution.residual[0] < 1e-6
@@ -61,7 +61,7 @@ def test_each_point_uses_its_own_views() -> None:
     xy = seen(models, truth)
     used = np.array([[True, True, False], [True, False, True], [False, True, False], [False, True, False]])
     xy[~used] = np.nan
-    solution = Triangulation(models).solve(Views(xy, used), no_prior(3), SIGMA)
+    solution = Triangulation(models).solve(PixelViews(xy, used), no_prior(3), SIGMA)
     np.testing.assert_allclose(solution.position[:2], truth[:2], atol=1e-6)
     assert np.isnan(solution.position[2]).all()
 
@@ -71,7 +71,9 @@ def test_covariance_is_the_scatter_of_noisy_solutions() -> None:
     truth = np.repeat([[0.02, 0.01, 0.8]], 3000, axis=0)
     focal_px = models[0].K[0, 0]
     xy = seen(models, truth, noise_px=0.3, seed=3)
-    solution = Triangulation(models).solve(Views(xy, np.ones((2, 3000), dtype=bool)), no_prior(3000), 0.3 / focal_px)
+    solution = Triangulation(models).solve(
+        PixelViews(xy, np.ones((2, 3000), dtype=bool)), no_prior(3000), 0.3 / focal_px
+    )
     scatter = np.sqrt(np.diag(np.cov((solution.position - truth).T)))
     stated = np.sqrt(np.diag(solution.covariance.mean(axis=0)))
     np.testing.assert_allclose(stated, scatter, rtol=0.06)
@@ -85,7 +87,7 @@ def test_more_views_lower_the_error() -> None:
     for count in (2, 4, 8):
         models = cameras(count)
         xy = seen(models, truth, noise_px=0.3, seed=4)
-        solution = Triangulation(models).solve(Views(xy, np.ones((count, 800), dtype=bool)), no_prior(800), SIGMA)
+        solution = Triangulation(models).solve(PixelViews(xy, np.ones((count, 800), dtype=bool)), no_prior(800), SIGMA)
         errors.append(float(np.median(np.linalg.norm(solution.position - truth, axis=1))) * 1e3)
     assert errors[0] > 1.5 * errors[1] > 2.0 * errors[2]
     assert errors[0] < 6.0
@@ -97,7 +99,7 @@ def test_single_view_keeps_the_prior_depth() -> None:
     believed = truth + np.array([[0.01, 0.01, 0.0]])
     xy = seen(models, truth)
     used = np.array([[True], [False]])
-    solution = Triangulation(models).solve(Views(xy, used), Prior(believed, np.array([0.03])), SIGMA)
+    solution = Triangulation(models).solve(PixelViews(xy, used), Prior(believed, np.array([0.03])), SIGMA)
     # The point on the ray of the view nearest to the prior.
     reprojected = Triangulation(models).project(solution.position)[0]
     np.testing.assert_allclose(reprojected, xy[0], atol=1e-4)
@@ -111,7 +113,7 @@ def test_swapped_cameras_put_points_behind_them() -> None:
     T[0, 3] = 0.075
     parallel = [CameraModel.from_arrays(640, 480, K, np.zeros(0), pose) for pose in (np.eye(4), T)]
     xy = seen(parallel, np.array([[0.0, 0.0, 0.8]]))[::-1]
-    solution = Triangulation(parallel).solve(Views(xy, np.ones((2, 1), dtype=bool)), no_prior(1), SIGMA)
+    solution = Triangulation(parallel).solve(PixelViews(xy, np.ones((2, 1), dtype=bool)), no_prior(1), SIGMA)
     assert not solution.in_front.any()
     assert np.isnan(solution.position).all()
 
@@ -125,6 +127,6 @@ def test_rays_that_meet_nowhere_are_no_error() -> None:
         T = np.eye(4)
         T[0, 3] = baseline_m
         pair = [one, CameraModel.from_arrays(640, 480, one.K, np.zeros(0), T)]
-        solution = Triangulation(pair).solve(Views(xy, np.ones((2, 3), dtype=bool)), no_prior(3), SIGMA)
+        solution = Triangulation(pair).solve(PixelViews(xy, np.ones((2, 3), dtype=bool)), no_prior(3), SIGMA)
         near = np.linalg.norm(np.nan_to_num(solution.position, nan=np.inf), axis=1) < 2.0
         assert not (near & (solution.residual < 0.01) & (np.trace(solution.covariance, axis1=1, axis2=2) < 0.1)).any()

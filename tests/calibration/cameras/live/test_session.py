@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_calibration.cameras.live.session import COUNTDOWN_S, MAX_EDGE_PX, Session, State
+from rhot_calibration.cameras.live.session import COUNTDOWN_S, MAX_EDGE_PX, Session, SessionState
 from rhot_calibration.cameras.solve.views import Board, BoardView
 
 BOARD = Board(9, 6, 0.025)
@@ -31,7 +31,7 @@ class Clocked:
         }
         return self.session.feed(noisy, self.t_s)
 
-    def hold(self, seconds: float = 1.5, **views: BoardView) -> list[State]:
+    def hold(self, seconds: float = 1.5, **views: BoardView) -> list[SessionState]:
         """Hold the board still; return the states passed through."""
         states = []
         for _ in range(round(seconds / ROUND_S)):
@@ -61,18 +61,18 @@ def test_a_board_held_still_is_taken_after_the_countdown(clocked: Clocked) -> No
     views = clocked.session.view_set
     assert set(views.views) == {("left", 0), ("right", 0)}
     assert views.labels["right", 0] == "right/000000.png"
-    assert clocked.session.progress.state is State.ACCEPTED
+    assert clocked.session.progress.state is SessionState.ACCEPTED
 
 
 def test_a_moving_board_is_never_taken(clocked: Clocked) -> None:
     for step in range(30):
         assert clocked.feed(left=seen(100.0 + 1.0 * step)) is None
-    assert clocked.session.progress.state is State.MOVING
+    assert clocked.session.progress.state is SessionState.MOVING
 
 
 def test_a_jerk_restarts_the_countdown(clocked: Clocked) -> None:
-    assert clocked.hold(0.8, left=seen(100.0))[-1] is State.HOLDING
-    assert clocked.hold(0.2, left=seen(104.0)) == [State.MOVING]
+    assert clocked.hold(0.8, left=seen(100.0))[-1] is SessionState.HOLDING
+    assert clocked.hold(0.2, left=seen(104.0)) == [SessionState.MOVING]
     assert clocked.session.progress.sets == 0
 
 
@@ -94,14 +94,14 @@ def test_a_pause_of_the_previews_is_no_stillness(clocked: Clocked) -> None:
     clocked.hold(0.6, left=seen(100.0))
     clocked.t_s += 5.0
     assert clocked.feed(left=seen(100.0)) is None
-    assert clocked.session.progress.state is State.MOVING
+    assert clocked.session.progress.state is SessionState.MOVING
 
 
 def test_the_same_place_is_taken_once(clocked: Clocked) -> None:
     clocked.hold(left=seen(100.0))
-    assert clocked.hold(left=seen(100.0))[-1] is State.ACCEPTED
+    assert clocked.hold(left=seen(100.0))[-1] is SessionState.ACCEPTED
     clocked.feed(left=seen(160.0))
-    assert clocked.hold(left=seen(105.0))[-1] is State.SIMILAR
+    assert clocked.hold(left=seen(105.0))[-1] is SessionState.SIMILAR
     assert clocked.session.progress.sets == 1
     clocked.hold(left=seen(160.0))
     assert clocked.session.progress.sets == 2
@@ -116,12 +116,12 @@ def test_the_same_place_seen_by_another_camera_is_new(clocked: Clocked) -> None:
 
 def test_a_blurred_picture_is_not_taken(clocked: Clocked) -> None:
     states = clocked.hold(left=seen(100.0, sharpness=MAX_EDGE_PX + 0.5))
-    assert states[-1] is State.BLURRED
+    assert states[-1] is SessionState.BLURRED
     assert clocked.session.progress.sets == 0
 
 
 def test_without_a_board_it_searches(clocked: Clocked) -> None:
-    assert clocked.hold()[-1] is State.SEARCHING
+    assert clocked.hold()[-1] is SessionState.SEARCHING
     assert clocked.session.progress.missing[:2] == ("left: show it the board", "right: show it the board")
 
 

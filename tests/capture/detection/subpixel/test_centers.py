@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rhot_capture.detection.blob import PADDING_PX
 from rhot_capture.detection.subpixel.batch import find_centres
-from rhot_capture.detection.subpixel.windows import Centre, Window
+from rhot_capture.detection.subpixel.windows import BlobWindow, Centre
 
 
 def window_of(mask: Any) -> tuple[slice, slice]:
@@ -23,14 +23,14 @@ def window_of(mask: Any) -> tuple[slice, slice]:
 def centre_in(image: Any, mask: Any, round_part: bool = False) -> Centre:
     """The centre of what a mask shows, measured in a window as the detector cuts it, in the picture's coordinates."""
     part = window_of(mask)
-    (centre,) = find_centres([Window(image[part], mask[part], round_part)])
+    (centre,) = find_centres([BlobWindow(image[part], mask[part], round_part)])
     return centre._replace(u=centre.u + part[1].start, v=centre.v + part[0].start)
 
 
 def share_in(image: Any, mask: Any) -> Any:
     """The painted share of every pixel, 0 outside of the window."""
     part = window_of(mask)
-    (centre,) = find_centres([Window(image[part], mask[part])])
+    (centre,) = find_centres([BlobWindow(image[part], mask[part])])
     share = np.zeros(mask.shape, np.float32)
     rows, columns = np.indices(mask[part].shape, np.float32)
     assert centre.shares is not None
@@ -170,7 +170,7 @@ def test_blobs_measured_together_are_what_they_are_alone(
     windows = []
     for index, (name, radius) in enumerate((("ring", 11.0), ("index", 3.0), ("thumb", 7.0), ("little", 2.5))):
         drawn = scene([shape(name, 24.3, 25.6, radius=radius)], size=(47 + 3 * index, 51), noise=3.0, seed=index)
-        windows.append(Window(drawn.image, hard_mask(drawn.image, paints[name], 70), True))
+        windows.append(BlobWindow(drawn.image, hard_mask(drawn.image, paints[name], 70), True))
     for together, window in zip(find_centres(windows), windows, strict=True):
         (alone,) = find_centres([window])
         assert (together.u, together.v) == pytest.approx((alone.u, alone.v), abs=1e-3)
@@ -195,7 +195,7 @@ def test_garbage_has_a_centre_in_its_window(seed: int) -> None:
         if rng.integers(3) == 0:
             mask[:] = 0
             mask[height // 2, width // 2] = 255
-        windows.append(Window(image, mask, bool(rng.integers(2))))
+        windows.append(BlobWindow(image, mask, bool(rng.integers(2))))
     for window, centre in zip(windows, find_centres(windows), strict=True):
         height, width = window.mask.shape
         assert -5.0 < centre.u < width + 5.0

@@ -8,14 +8,14 @@ from foot_walk import C, Walk, ns
 from numpy.typing import NDArray
 
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_z
-from rhot_feet.imu.alignment.estimator import Step, StepTracker
+from rhot_feet.imu.alignment.estimator import FootStep, StepTracker
 
 WALK = Walk()
 TIMES = np.arange(-0.5, 0.9, 0.01)
 ACCELERATION, QUATERNIONS = WALK.imu(TIMES, 1, bias=0.05)
 
 
-def walk(*, missing: tuple[float, float] = (9.0, 9.0), seen_again: bool = True) -> Step | None:
+def walk(*, missing: tuple[float, float] = (9.0, 9.0), seen_again: bool = True) -> FootStep | None:
     """One step of half a second, seen only while the foot stands."""
     watcher, step = StepTracker(), None
     rotations = rotation_from_quaternion(QUATERNIONS)

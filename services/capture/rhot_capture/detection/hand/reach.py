@@ -16,7 +16,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from rhot.anatomy.markers import Marker, unshared_paints
+from rhot.anatomy.markers import PaintedMarker, unshared_paints
 from rhot.arrays import ImageArray
 from rhot.geometry.hull import Region
 from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Refusal, track_plausibility, without
@@ -48,7 +48,7 @@ class SkinContact:
         markers: of the rig, by name; only fingertips are examined.
     """
 
-    def __init__(self, markers: Mapping[str, Marker]) -> None:
+    def __init__(self, markers: Mapping[str, PaintedMarker]) -> None:
         self._hand_of = {name: marker.hand for name, marker in markers.items() if marker.kind == "cap"}
         self._since = dict.fromkeys(self._hand_of, _LASTS_FRAMES)
 
@@ -132,7 +132,7 @@ class HandAxis:
         markers: of the rig, by name; paints of both hands, which do not identify the hand, are not used.
     """
 
-    def __init__(self, markers: Mapping[str, Marker]) -> None:
+    def __init__(self, markers: Mapping[str, PaintedMarker]) -> None:
         own = unshared_paints(markers)
         patches = {marker.hand: name for name, marker in markers.items() if name in own and marker.kind == "patch"}
         # Patch of each fingertip's hand.
@@ -241,7 +241,7 @@ class HandScale:
             hand, are not used.
     """
 
-    def __init__(self, markers: Mapping[str, Marker]) -> None:
+    def __init__(self, markers: Mapping[str, PaintedMarker]) -> None:
         # Hand and area of the paint by marker.
         self._face_m2: dict[str, tuple[str, float]] = {}
         for name in unshared_paints(markers):
@@ -317,7 +317,7 @@ class HandReach:
         markers: of the rig, by name.
     """
 
-    def __init__(self, markers: Mapping[str, Marker]) -> None:
+    def __init__(self, markers: Mapping[str, PaintedMarker]) -> None:
         self._hand_of = {name: marker.hand for name, marker in markers.items()}
         self._alone = unshared_paints(markers)
         hands = list(self._hand_of.values())

@@ -15,7 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-from rhot.anatomy.markers import Marker
+from rhot.anatomy.markers import PaintedMarker
 from rhot_capture.detection.candidates import Candidate
 
 _REACH_M: Final = 0.20
@@ -62,7 +62,7 @@ class Spot(NamedTuple):
     area: float
     plausibility: float
 
-    def contains(self, place: Place) -> bool:
+    def contains(self, place: Prediction) -> bool:
         """Return whether a predicted position is inside its bounding rectangle."""
         return 2.0 * abs(place.u - self.u) <= self.across and 2.0 * abs(place.v - self.v) <= self.down
 
@@ -74,13 +74,13 @@ def spot_of(candidate: Candidate) -> Spot:
     return Spot(u, v, across, down, candidate.blob.area, candidate.plausibility)
 
 
-def anchor_of(spot: Spot, marker: Marker) -> Anchor:
+def anchor_of(spot: Spot, marker: PaintedMarker) -> Anchor:
     """Return position and scale of a patch."""
     across_m, along_m = marker.size_m or (1.0, 1.0)
     return Anchor(spot.u, spot.v, math.sqrt(spot.area / (across_m * along_m)))
 
 
-class Place(NamedTuple):
+class Prediction(NamedTuple):
     """Predicted position of a marker.
 
     Attributes:
@@ -110,7 +110,7 @@ class SharedPaints:
         markers: of the rig, by name.
     """
 
-    def __init__(self, markers: Mapping[str, Marker]) -> None:
+    def __init__(self, markers: Mapping[str, PaintedMarker]) -> None:
         pairs = {marker.paint_of: name for name, marker in markers.items() if marker.paint_of is not None}
         self.wearers: dict[str, tuple[str, str]] = {paint: (paint, other) for paint, other in pairs.items()}
         shared = {name for pair in self.wearers.values() for name in pair}
@@ -136,7 +136,7 @@ class SharedPaints:
         # The larger scale is valid for both hands: they are at similar distances, and tilted patches look too small.
         self._scale_px_m = max([self._kept_px_m, *(anchor.px_m for anchor in seen.values())])
 
-    def expected(self, name: str, carried: tuple[float, float] | None) -> Place | None:
+    def expected(self, name: str, carried: tuple[float, float] | None) -> Prediction | None:
         """Return the predicted position of a marker; None if there is none.
 
         Args:
@@ -144,14 +144,14 @@ class SharedPaints:
             carried: prediction from its motion, pixels; None if it was not in the last frame.
         """
         if carried is not None:
-            return Place(*carried, _STEP_PX)
+            return Prediction(*carried, _STEP_PX)
         memory, anchor = self._memory[name], self._anchors.get(self._patch_of[name])
         if anchor is None or memory.beside is None:
             return None
         # Increase of it per frame without the marker, because fingers move relative to the hand.
         # Upper bound of it: half of a finger's path from open to closed in such an image.
         sigma_px = min(_STEP_PX + 3.0 * memory.missed, 45.0)
-        return Place(anchor.u + memory.beside[0], anchor.v + memory.beside[1], sigma_px)
+        return Prediction(anchor.u + memory.beside[0], anchor.v + memory.beside[1], sigma_px)
 
     def match(
         self, paint: str, spots: Sequence[Spot], carried: Mapping[str, tuple[float, float] | None]
@@ -201,7 +201,7 @@ class SharedPaints:
             elif anchor is not None:
                 memory.beside, memory.missed = (where[0] - anchor.u, where[1] - anchor.v), 0
 
-    def _fit(self, name: str, place: Place | None, spot: Spot) -> float:
+    def _fit(self, name: str, place: Prediction | None, spot: Spot) -> float:
         """Return the log-likelihood of a match, relative to that of a blob at the predicted position."""
         fit = math.log(max(spot.plausibility, 1e-6))
         if place is None:

@@ -22,11 +22,11 @@ from rhot_capture.detection.subpixel.windows import (
     LEAST,
     MIN_STEP,
     MOST,
+    BlobWindow,
     Centre,
     CoverageArray,
     Grid,
     Shares,
-    Window,
     grid_of,
     local_share,
 )
@@ -58,7 +58,7 @@ _LOCAL_FROM_PX: Final = 600
 """Smallest window for local levels, pixels; smaller ones have too little pure paint on the lit and the shaded side."""
 
 
-def find_centres(windows: Sequence[Window], skin: ImageArray | None = None) -> list[Centre]:
+def find_centres(windows: Sequence[BlobWindow], skin: ImageArray | None = None) -> list[Centre]:
     """Return the centres of blobs, in the order of the windows.
 
     Round surfaces are darker towards their edge, so that paint there looks like a mixture with a dark background, and

@@ -206,7 +206,7 @@ def local_share(t: CoverageArray, weights: CoverageArray, shape: tuple[int, int]
 # Windows of the image that contain a blob each, and the grids on which they are measured.
 
 
-class Window(NamedTuple):
+class BlobWindow(NamedTuple):
     """A blob's window of the image.
 
     Attributes:
@@ -252,7 +252,7 @@ class Grid(NamedTuple):
         mask: (h, w) uint8, 255 where at least half is inside the blob, else 0.
     """
 
-    window: Window
+    window: BlobWindow
     scale: int
     left: int
     top: int
@@ -260,7 +260,7 @@ class Grid(NamedTuple):
     mask: ImageArray
 
 
-def grid_of(window: Window, coarse: bool = True) -> Grid:
+def grid_of(window: BlobWindow, coarse: bool = True) -> Grid:
     """Return the grid of a window.
 
     Args:

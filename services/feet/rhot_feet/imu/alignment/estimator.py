@@ -55,7 +55,7 @@ _GRAVITY: Final = np.array([0.0, 0.0, GRAVITY_M_S2])
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class FootStep:
     """A foot's way between two positions where it stood and was seen, through any number of stand-stills unseen.
 
     Attributes:
@@ -141,7 +141,7 @@ class StepTracker:
             self._stands.append(_Stand(t_ns, t_ns, R, way[:, 0], way[:, 1:], whole, np.zeros(3)))
             self._set_off()
 
-    def add_marker(self, t_ns: int, position: FloatArray) -> Step | None:
+    def add_marker(self, t_ns: int, position: FloatArray) -> FootStep | None:
         """Add an accepted position (3,) of the marker; return the step that it completes."""
         index = next((k for k, stand in enumerate(self._stands) if stand.start_ns <= t_ns <= stand.end_ns), None)
         if index is None:
@@ -158,7 +158,7 @@ class StepTracker:
             start = self._stands[k - 1]
             if start.count >= _SIGHTINGS:
                 stand.used = True
-                return Step(stand.position - start.position, imu_m, d_bias, stand.R - start.R)
+                return FootStep(stand.position - start.position, imu_m, d_bias, stand.R - start.R)
         return None
 
 
@@ -258,7 +258,7 @@ class AlignmentEstimator:
         self._equations.add_orientation(t_ns, nearest[2], self._C.T @ rotation, sigma_rad)
         self._unsolved += 1
 
-    def _add_step(self, step: Step, sigma_m: float) -> None:
+    def _add_step(self, step: FootStep, sigma_m: float) -> None:
         """Add a step."""
         x, y, z = step.marker_m.tolist()
         length_m = math.hypot(x, y)

@@ -10,7 +10,7 @@ import numpy as np
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot_fusion.filter.initialisation import InitialState
-from rhot_fusion.filter.smoothing.smoother import Correct, Event, Frame, Node, smooth
+from rhot_fusion.filter.smoothing.smoother import Correct, Event, Node, RecordedFrame, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import TrackSettings, outcome_of
@@ -31,7 +31,7 @@ class HandRecord:
     def __init__(self, index: IndexArray, cameras: Sequence[CameraModel]) -> None:
         self.index = index
         self._cameras = cameras
-        self._frames: list[Frame] = []
+        self._frames: list[RecordedFrame] = []
 
     def clear(self) -> None:
         """Discard all frames."""
@@ -57,7 +57,7 @@ class HandRecord:
         )
         nothing, seen = np.zeros(count, dtype=bool), sightings.xy.copy()
         of_paint = seen, sightings.area_px, sightings.border, sightings.skin
-        self._frames.append(Frame(sightings.t_s, sightings.camera, views, nothing, [], *of_paint))
+        self._frames.append(RecordedFrame(sightings.t_s, sightings.camera, views, nothing, [], *of_paint))
 
     def add_innovation(self, views: Views, innovation: Innovation, camera_variance: float) -> None:
         """Store the gate's results of the newest frame; `camera_variance` is the pixel noise included in `views`."""

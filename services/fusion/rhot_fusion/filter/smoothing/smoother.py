@@ -21,7 +21,7 @@ import numpy as np
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot_fusion.filter.initialisation import InitialState
 from rhot_fusion.filter.joint import SCALES, SHARES, SWITCH_S, JointFilter, squared_distance
-from rhot_fusion.filter.state import ROUND, SHARED, State, Step, Views
+from rhot_fusion.filter.state import ROUND, SHARED, FilterStep, State, Views
 from rhot_fusion.filter.tracks import GATE, LOOSE_M, PAIR_S, RAY_SIGMA_M, SPEED_SIGMA, TrackSettings
 
 _BRIDGE_S: Final = 0.25
@@ -40,7 +40,7 @@ _BRIDGE_SCALE: Final = 5.0
 # interpolated.
 
 
-def backward(steps: Sequence[tuple[Step, BoolArray]]) -> list[State]:
+def backward(steps: Sequence[tuple[FilterStep, BoolArray]]) -> list[State]:
     """Return the smoothed states of the steps."""
     states = [step.after for step, _ in steps]
     # The newest markers' states where they were initialised, by marker; `bridged` connects earlier ones with them.
@@ -56,7 +56,7 @@ def backward(steps: Sequence[tuple[Step, BoolArray]]) -> list[State]:
     return states
 
 
-def _smoothed(own: State, following: Step, later: State, new: BoolArray) -> State:
+def _smoothed(own: State, following: FilterStep, later: State, new: BoolArray) -> State:
     """Return a state smoothed by a later one, except for markers (M,) that start anew there."""
     both = own.alive & following.before.alive & later.alive & ~new
     if not both.any():
@@ -143,12 +143,12 @@ class Event:
     t_s: float
     marker: int
     initial: InitialState | None
-    first: Frame | None = None
+    first: RecordedFrame | None = None
     continues: bool = False
 
 
 @dataclass(slots=True)
-class Frame:
+class RecordedFrame:
     """One frame's views of a hand's markers.
 
     Attributes:
@@ -200,12 +200,12 @@ class Node:
     camera: int
 
 
-Correct = Callable[[Sequence[Frame], Sequence[State]], list[Views]]
+Correct = Callable[[Sequence[RecordedFrame], Sequence[State]], list[Views]]
 """Returns the corrected views of frames, given the smoothed states."""
 
 
 def smooth(
-    frames: Sequence[Frame],
+    frames: Sequence[RecordedFrame],
     count: int,
     settings: TrackSettings,
     correct: Correct,
@@ -236,12 +236,12 @@ def smooth(
 
 
 def _forward(
-    frames: Sequence[Frame],
+    frames: Sequence[RecordedFrame],
     count: int,
     settings: TrackSettings,
     variance: list[FloatArray],
     scale2: list[float | None],
-) -> tuple[list[tuple[Step, BoolArray]], list[FloatArray]]:
+) -> tuple[list[tuple[FilterStep, BoolArray]], list[FloatArray]]:
     # Views that the live filter rejected stay out; outliers among the rest are down-weighted instead of gated.
     hand = JointFilter(count, GATE, refuses=False)
     steps, evidence, loose_m2 = [], [], LOOSE_M**2
@@ -265,12 +265,12 @@ def _forward(
         for event in frame.events:
             if event.initial is None and id(event) not in replaced:
                 hand.end(event.marker)
-        steps.append((Step(step.dt_s, step.transition, step.before, hand.state), new))
+        steps.append((FilterStep(step.dt_s, step.transition, step.before, hand.state), new))
         evidence.append(innovation.evidence)
     return steps, evidence
 
 
-def _begins(frames: Sequence[Frame]) -> tuple[dict[int, list[Event]], set[int]]:
+def _begins(frames: Sequence[RecordedFrame]) -> tuple[dict[int, list[Event]], set[int]]:
     """Return, by frame number, the initialisations that are based on its views, and which removals no longer count.
 
     A marker that was removed between its first new view and its initialisation is only replaced earlier.
@@ -337,7 +337,7 @@ def _seen(views: Views, position: FloatArray, velocity: FloatArray) -> tuple[Flo
     return xy, (R[:2] - xy[:, :, None] * R[2]) / depth[:, :, None]
 
 
-def _on_path(frame: Frame, position: FloatArray, velocity: FloatArray, covariance: FloatArray) -> FloatArray:
+def _on_path(frame: RecordedFrame, position: FloatArray, velocity: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the squared Mahalanobis distances (N,) of a frame's views from the smoothed path.
 
     As in the gate of the live filter, the variance includes the slack for occlusion and the covariance (M, 3, 3) of the
@@ -351,7 +351,7 @@ def _on_path(frame: Frame, position: FloatArray, velocity: FloatArray, covarianc
     return np.minimum(squared_distance(variance, views.xy - xy), squared_distance(variance, frame.seen_xy - xy))
 
 
-def _node(frame: Frame, state: State) -> Node:
+def _node(frame: RecordedFrame, state: State) -> Node:
     count = len(state.alive)
     position, velocity = state.mean.reshape(2, count, 3).copy()
     diagonal = np.arange(count)
@@ -363,7 +363,7 @@ def _node(frame: Frame, state: State) -> Node:
     return Node(state.t_s, position, velocity, P, hidden_m2, shown, frame.camera)
 
 
-def _extend(frames: Sequence[Frame], states: Sequence[State]) -> None:
+def _extend(frames: Sequence[RecordedFrame], states: Sequence[State]) -> None:
     """Move the initialisation of markers to earlier views that agree with the smoothed path extrapolated backwards."""
     for number, starts in _begins(frames)[0].items():
         for start in [start for start in starts if not start.continues and states[number].alive[start.marker]]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.anatomy.hand import HandModel
-from rhot.anatomy.markers import Marker
+from rhot.anatomy.markers import PaintedMarker
 from rhot.anatomy.skeleton import CHAINS, FINGERS, JOINTS
 from rhot.arrays import FloatArray
 
@@ -42,7 +42,7 @@ class FingerGeometry:
     reaches: FloatArray
 
     @classmethod
-    def of(cls, model: HandModel, markers: Mapping[str, Marker]) -> FingerGeometry:
+    def of(cls, model: HandModel, markers: Mapping[str, PaintedMarker]) -> FingerGeometry:
         """Bind the markers of a hand to its fingers; a marker on the tip wins over one on the last hinge."""
         ends = np.zeros((len(FINGERS), 3))
         bound: dict[str, str] = {}
@@ -83,7 +83,7 @@ class FingerGeometry:
         return points
 
 
-def base_marker(model: HandModel, markers: Mapping[str, Marker]) -> str | None:
+def base_marker(model: HandModel, markers: Mapping[str, PaintedMarker]) -> str | None:
     """Return the name of the marker on the back of the hand: the one on the wrist or else on the palm joint."""
     for joint in ("wrist", "palm"):
         for name, marker in markers.items():
@@ -92,7 +92,7 @@ def base_marker(model: HandModel, markers: Mapping[str, Marker]) -> str | None:
     return None
 
 
-def marker_on_palm(model: HandModel, name: str, marker: Marker) -> FloatArray:
+def marker_on_palm(model: HandModel, name: str, marker: PaintedMarker) -> FloatArray:
     """Return where the base marker's centre lies in the wrist frame, (3,), metres."""
     offset = model.marker_offset(name, marker)
     return offset + model.palm if JOINTS.index(marker.joint) == JOINTS.index("palm") else offset
