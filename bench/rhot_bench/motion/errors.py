@@ -13,10 +13,8 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.arrays import FloatArray, IntArray
 from rhot.messages import HandPose
 from rhot_bench.motion.tracks import Tracks
-from rhot_tools.measures.points import MEASURED, Estimates
+from rhot_tools.measures.points import MEASURED, Estimates, is_swapped
 
-SWAP_M: Final = 0.010
-"""A point counts as swapped when it is nearer to another marker and at least this far from its own (as in score.py)."""
 CLEAR_SHARE: Final = 0.9
 """Share of the facing paint above which its middle is hardly shifted by what hides the rest."""
 _OFFSET_ROUNDS: Final = 4
@@ -132,7 +130,7 @@ def point_errors(tracks: Tracks, estimates: Estimates) -> PointErrors:
         truth.views(times, CLEAR_SHARE)[place, estimates.marker] >= 2,
         hidden,
         measured,
-        (others.min(axis=1) < error) & (error > SWAP_M),
+        is_swapped(error, others.min(axis=1)),
     )
 
 

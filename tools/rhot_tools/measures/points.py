@@ -77,9 +77,9 @@ def covariance_of(point: Point) -> FloatArray:
 
 FALSE_M: Final = 0.020
 """A measured point with no true marker this near is a false one."""
-SWAP_OWN_M: Final = 0.015
-SWAP_OTHER_M: Final = 0.010
-"""A measured point further than the first from its own marker and nearer than the second to another has its name."""
+SWAP_M: Final = 0.010
+"""A point is swapped when it is nearer to another marker than to its own, and further than this from its own; the same
+as in score.py of the rendered pictures."""
 _SPEED_STEP_S: Final = 0.005
 
 
@@ -175,6 +175,12 @@ def false_points(track: PointTrack) -> int:
     return int((track.measured & (_distances(track).min(axis=2) > FALSE_M)).sum())
 
 
+def is_swapped(own_m: FloatArray, nearest_other_m: FloatArray) -> BoolArray:
+    """Return which points lie at another marker, from their distances to their own and to the nearest other one."""
+    swapped: BoolArray = (nearest_other_m < own_m) & (own_m > SWAP_M)
+    return swapped
+
+
 def identity_swaps(track: PointTrack, hands: Sequence[str] | None = None) -> int:
     """Return how many times a marker was measured at another marker's position; a stretch of sets counts once.
 
@@ -186,7 +192,7 @@ def identity_swaps(track: PointTrack, hands: Sequence[str] | None = None) -> int
     own = np.einsum("nmm->nm", distances)
     mine = np.eye(len(track.names), dtype=np.bool_) if hands is None else np.equal.outer(hands, hands)
     other = np.where(mine, np.inf, distances)
-    swapped = track.measured & (own > SWAP_OWN_M) & (other.min(axis=2) < SWAP_OTHER_M)
+    swapped = track.measured & is_swapped(own, other.min(axis=2))
     before = np.vstack([np.zeros((1, len(track.names)), dtype=np.bool_), swapped[:-1]])
     return int((swapped & ~before).sum())
 
