@@ -20,7 +20,7 @@ from rich.console import Console
 
 from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import FloatArray
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.messages import BoxShape, CylinderShape, HandPose, Message, ObjectPose, SphereShape
@@ -48,7 +48,6 @@ from rhot_tools.measures.rows import check_output
 # Where a grasping session comes from: the simulated rig, rendered pictures, a recording, the running rig.
 
 SEQUENCE = "G2"
-_CONNECT_S = 5.0
 
 
 class _Posed:
@@ -100,7 +99,7 @@ async def listened(
         BusError: no router, or nothing came.
     """
     messages: list[tuple[str, Message]] = []
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         begun = asyncio.get_running_loop().time()
 
         async def follow(keys: str, model: type[Message]) -> None:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView, Tone, typed_metres
 from rhot.errors import ConfigError
 from rhot.recording.picture_file import decode_picture
@@ -21,7 +21,7 @@ from rhot_calibration.cameras.board.grid import parse_board
 from rhot_calibration.cameras.calibration import Calibrated, calibrate_rig, cameras_file, refuse_other_board
 from rhot_calibration.cameras.live.coverage import WANTED_FILL, WANTED_SHARED, WANTED_TILTED, WANTED_VIEWS
 from rhot_calibration.cameras.live.display import state_line
-from rhot_calibration.cameras.live.live import CONNECT_S, Collector, prepare_folder, rounds
+from rhot_calibration.cameras.live.live import Collector, prepare_folder, rounds
 from rhot_calibration.cameras.live.session import Progress, Session, SessionState
 from rhot_calibration.cameras.pictures import PictureReading
 from rhot_calibration.cameras.solve.views import Board, ViewSet

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from rhot.anatomy.markers import own_paints
 from rhot.arrays import BoolArray, ImageArray
-from rhot.bus import Bus, Reply
+from rhot.bus import CONNECT_S, Bus, Reply
 from rhot.calibration_step import Figures, Remark
 from rhot.errors import BusError, DeviceError
 from rhot.recording.picture_file import decode_picture
@@ -28,8 +27,6 @@ from rhot_capture.preview import preview_jpeg
 
 # Pictures from the cameras of a running rig, by the previews that its capture services answer with.
 
-_CONNECT_TIMEOUT_S: Final = 2.0
-
 
 async def live_pictures(bus: BusConfig, cameras: Sequence[str]) -> dict[str, ImageArray]:
     """Return the newest picture of each camera, (H, W, 3) uint8 BGR.
@@ -38,7 +35,7 @@ async def live_pictures(bus: BusConfig, cameras: Sequence[str]) -> dict[str, Ima
         BusError: no router, or no capture service answers for a camera.
         DeviceError: a camera has no picture yet, or what came is none.
     """
-    async with await Bus.open(bus, timeout_s=_CONNECT_TIMEOUT_S) as session:
+    async with await Bus.open(bus, timeout_s=CONNECT_S) as session:
         # PNG where the service knows it; JPEG blurs colours over blocks of pixels.
         answer_timeout_s = 3.0
         return {

@@ -16,7 +16,7 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.aruco_dictionary import marker_dictionary
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import (
@@ -33,6 +33,7 @@ from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
 from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
 from rhot.rig.feet_config import FeetConfig
+from rhot_calibration.live import HINT_S, listening
 from rhot_feet.frames import ColorImage, pinhole
 from rhot_feet.head_track import HeadTrack
 from rhot_feet.input_stream import CAMERA
@@ -304,8 +305,6 @@ def _rigid_all(R: FloatArray, t: FloatArray) -> list[FloatArray]:
 
 # Views from a running rig, and from a recording of one.
 
-CONNECT_S: Final = 5.0
-_LOOK_S: Final = 0.5
 _HEAD_AHEAD_NS: Final = 100_000_000
 _PICTURES: Final = f"{PICTURES_KEY}/{CAMERA}"
 
@@ -355,7 +354,7 @@ async def collect_views(
     async def watch() -> None:
         said = ""
         while True:
-            await asyncio.sleep(_LOOK_S)
+            await asyncio.sleep(HINT_S)
             late = [what for what, at_s in heard_s.items() if time.monotonic() - at_s > patience_s]
             if late:
                 raise BusError(
@@ -366,16 +365,13 @@ async def collect_views(
                 said = collector.hint
                 hint(said)
 
-    async with await Bus.open(config, timeout_s=CONNECT_S) as bus:
-        tasks = [asyncio.create_task(work) for work in (follow_head(bus), follow_pictures(bus), watch(), _waited(done))]
-        try:
-            ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in ended:
-                task.result()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+    async with (
+        await Bus.open(config, timeout_s=CONNECT_S) as bus,
+        listening(follow_head(bus), follow_pictures(bus), watch(), _waited(done)) as tasks,
+    ):
+        ended, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in ended:
+            task.result()
 
 
 async def _waited(done: asyncio.Event) -> None:

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.bus import Bus
-from rhot.errors import BusError, ConfigError
+from rhot.bus import CONNECT_S, Bus
+from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import Control, ObjectPose, PointSet
 from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
+from rhot_calibration.live import HINT_S, Hint, StreamWatch, listening
 from rhot_calibration.objects.checks import angle_between, covers, forget_old, held_pose
 from rhot_calibration.objects.fit import Places
 from rhot_objects.core import key_of
@@ -141,12 +140,8 @@ class PlaceCollector:
 
 # Places from a running rig: the marker from `rhot/points`, the device from `rhot/object/<id>`.
 
-CONNECT_TIMEOUT_S: Final = 5.0
-HINT_S: Final = 0.5
-"""Between two looks at what is missing."""
 
 Taken = Callable[[PosePair], None]
-Hint = Callable[[str], None]
 
 
 async def collect_places(
@@ -204,19 +199,14 @@ async def collect_places(
                 pose = Pose.from_arrays(message.position, message.orientation)
                 keep(collector.add_pose(message.t_ns, registration.to_tracker(object_id, pose)))
 
-    async with await Bus.open(bus_config, timeout_s=CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         check_session(
             await newest_control(bus), registration_path(rig.path, source) or rig.path / registration_name(source)
         )
-        tasks = [asyncio.create_task(follow(bus)) for follow in (follow_points, follow_device)]
-        try:
+        async with listening(follow_points(bus), follow_device(bus)) as tasks:
             services = {"rhot/points": "fusion", object_key: "objects"}
             remedy = " and the rig started (`rhot status`, `rhot start`)"
             await _wait(done, StreamWatch(tasks, heard, services, patience_s, remedy, hint), collector)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _wait(done: asyncio.Event, watch: StreamWatch, collector: PlaceCollector) -> None:
@@ -228,56 +218,6 @@ async def _wait(done: asyncio.Event, watch: StreamWatch, collector: PlaceCollect
                 await done.wait()
         except TimeoutError:
             continue
-
-
-class StreamWatch:
-    """Says what the person should do while streams are listened to, and ends the wait for one that stays silent.
-
-    Args:
-        tasks: that listen.
-        heard: keys that something came on; filled by them.
-        services: key to the service that publishes it.
-        patience_s: how long a key may stay silent at the beginning.
-        remedy: what to look after when one does, behind the question whether its service is running.
-        hint: called with what the person should do, whenever that changes.
-    """
-
-    def __init__(
-        self,
-        tasks: Sequence[asyncio.Task[None]],
-        heard: set[str],
-        services: Mapping[str, str],
-        patience_s: float,
-        remedy: str,
-        hint: Hint,
-    ) -> None:
-        self._tasks, self._heard, self._services = tasks, heard, services
-        self._patience_s, self._remedy, self._hint = patience_s, remedy, hint
-        self._begun, self._hinted = time.monotonic(), ""
-
-    def look(self, advice: Callable[[], str]) -> None:
-        """Look once, every `HINT_S` or so.
-
-        Args:
-            advice: what the person should do when every key is heard; empty = nothing.
-
-        Raises:
-            BusError: a key has stayed silent for too long, or the connection was closed.
-        """
-        silent = [key for key in self._services if key not in self._heard]
-        if silent and time.monotonic() - self._begun > self._patience_s:
-            raise BusError(
-                f"nothing was published on {silent[0]} for {self._patience_s:.0f} s; is "
-                f"`rhot {self._services[silent[0]]}` running{self._remedy}?"
-            )
-        for task in self._tasks:
-            if task.done():
-                task.result()
-                raise BusError("the connection to the router was closed")
-        now = f"nothing on {silent[0]} yet" if silent else advice()
-        if now and now != self._hinted:
-            self._hint(now)
-        self._hinted = now
 
 
 def check_session(start: Control | None, file: Path) -> None:

@@ -9,7 +9,7 @@ import click
 import numpy as np
 from rich.console import Console
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.cli.options import Finite, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import Rig, StageFile, load_rig
@@ -17,7 +17,6 @@ from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
 from rhot.rig.cameras import camera_models
 from rhot.rig.folder import STAGE_FILE, registration_name, registration_path
 from rhot_calibration.cameras.board.grid import DEFAULT_DICTIONARY, parse_board
-from rhot_calibration.cameras.live.live import CONNECT_S
 from rhot_calibration.cameras.pictures import read_pictures
 from rhot_calibration.cameras.solve.views import Board, ViewSet
 from rhot_calibration.stage.desk import DeskFit, fit_desk, residual_text

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.calibration_step import Button, Field, Figures, Remark, StepContext, StepView, typed_metres
 from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import StageFile, load_rig
@@ -15,7 +15,6 @@ from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
 from rhot.rig.cameras import camera_models
 from rhot.rig.folder import STAGE_FILE, registration_path
 from rhot_calibration.cameras.board.grid import parse_board
-from rhot_calibration.cameras.live.live import CONNECT_S
 from rhot_calibration.page_step import PageStep, trial_buttons
 from rhot_calibration.stage.desk import DeskFit, fit_desk, residual_text
 from rhot_calibration.stage.floor import FORWARDS, Forward, desk_file, look_at_desk, registration_stage

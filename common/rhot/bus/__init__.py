@@ -7,11 +7,12 @@ last value.
 
 from rhot.bus.publisher import Publisher
 from rhot.bus.query import Answer, Reply, Request, TimedAnswer, json_answer, message_answer
-from rhot.bus.session import Bus
+from rhot.bus.session import CONNECT_S, Bus
 from rhot.bus.subscriber import EventSubscriber, LatestSubscriber, Sample
 from rhot.bus.zenoh_config import session_config
 
 __all__ = [
+    "CONNECT_S",
     "Answer",
     "Bus",
     "EventSubscriber",

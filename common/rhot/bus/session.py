@@ -44,6 +44,10 @@ def _elsewhere(config: BusConfig) -> str:
     return "; if it runs on another machine, bring this one's certificate: `rhot keys install`" if own else ""
 
 
+CONNECT_S: Final = 3.0
+"""How long a command waits for the router; services wait as long as it takes."""
+
+
 class Bus:
     """One Zenoh session with everything that was declared on it; use `async with await Bus.open(...)`."""
 

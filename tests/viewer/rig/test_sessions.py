@@ -30,7 +30,7 @@ def test_only_files_that_sessions_read_begin_one(rig: Rig) -> None:
 
 
 async def test_a_rig_that_is_not_there_is_named(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sessions, "_CONNECT_S", 0.1)
+    monkeypatch.setattr(sessions, "CONNECT_S", 0.1)
     with pytest.raises(BusError, match="no Zenoh router answers"):
         await Sessions(StepContext(rig.path, BusConfig(connect=("tcp/127.0.0.1:1",)))).restart()
 

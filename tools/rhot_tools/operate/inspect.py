@@ -11,14 +11,13 @@ from typing import Any
 
 import click
 
-from rhot.bus import Bus, Reply
+from rhot.bus import CONNECT_S, Bus, Reply
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError, WireError
 from rhot.messages import unpack
 from rhot.rig import BusConfig
 from rhot.text import printable
 
-_CONNECT_TIMEOUT_S = 2.0
 _MOST_KEYS = 200
 """Keys whose rates are shown one by one."""
 
@@ -60,7 +59,7 @@ def _nobody(key_expr: str) -> str:
 
 
 async def _get(bus_config: BusConfig, selector: str, timeout_s: float) -> list[Reply]:
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         return await bus.get(selector, timeout_s=timeout_s)
 
 
@@ -113,7 +112,7 @@ def get(
 
 
 async def _watch(bus_config: BusConfig, key_expr: str, count: int | None, duration_s: float | None) -> None:
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         try:
             async with asyncio.timeout(duration_s):
                 left = count
@@ -155,7 +154,7 @@ def watch(
 
 
 async def _rates(bus_config: BusConfig, key_expr: str, duration_s: float | None) -> None:
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         counts: dict[str, int] = {}
         mailbox = bus.events(key_expr)
 

@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.cli.options import DEFAULT_RIG, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.recording.feet_tables import HEAD_FILE, FeetTables
@@ -40,7 +40,6 @@ from rhot_tools.export.source import RecordedMessages
 from rhot_tools.recordings.beside import attached_rig
 from rhot_tools.trial.verdict import judged_recording
 
-_CONNECT_TIMEOUT_S = 2.0
 _SWITCH_S = 0.0005
 _MOST_ROWS = 60
 _MOST_NAMED = 3
@@ -89,7 +88,7 @@ async def _taking_pictures(
     config: BusConfig, folder: PictureFolder, stop: Stop, console: Console
 ) -> AsyncIterator[None]:
     """Record pictures during the block, over a session of their own, so that messages do not queue behind them."""
-    async with await Bus.open(config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(config, timeout_s=CONNECT_S) as bus:
         mailbox, motion = subscribe_pictures(bus), subscribe_motion(bus)
         # The tables are closed first: a folder is complete when all of it is written.
         with folder, FeetTables(lambda: folder.depth_camera) as tables:
@@ -156,7 +155,7 @@ async def _record(
     tally = Tally()
     console = Console(stderr=True, soft_wrap=True)
     # The router first: where none answers, no empty file is left behind.
-    async with await Bus.open(config, timeout_s=_CONNECT_TIMEOUT_S) as bus, contextlib.AsyncExitStack() as stack:
+    async with await Bus.open(config, timeout_s=CONNECT_S) as bus, contextlib.AsyncExitStack() as stack:
         carried = attachments or attachments_of(await fetch_rig_files(bus))
         if not carried:
             console.print("[yellow]no rig folder here, and the rig tells none: only messages are recorded[/]")

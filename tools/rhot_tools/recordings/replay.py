@@ -16,6 +16,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
+from rhot.bus import CONNECT_S
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.recording.mcap.reader import McapRecording, RecordedSample, open_mcap
@@ -26,7 +27,6 @@ from rhot.service.stop import Stop, install_stop
 from rhot_tools.operate.live_rig import rig_clock, started
 from rhot_tools.recordings.restamp import ReplayBus, Restamp, chosen_keys, clock_skew_ns
 
-_CONNECT_TIMEOUT_S = 2.0
 _PAUSE_S = 5.0
 """From where a pause in a recording is worth a word."""
 _SWITCH_S = 0.0005
@@ -164,7 +164,7 @@ async def _replay(
         return _samples(recordings, keys, *span_s)
 
     console = Console(stderr=True, soft_wrap=True)
-    bus = await ReplayBus.open(config, timeout_s=_CONNECT_TIMEOUT_S)
+    bus = await ReplayBus.open(config, timeout_s=CONNECT_S)
     async with bus, contextlib.AsyncExitStack() as stack:
         alive = [reply.key.removeprefix("rhot/alive/") for reply in await bus.who_is_alive() if reply.key]
         if not force:

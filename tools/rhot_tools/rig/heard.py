@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from rhot.arrays import ImageArray
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.errors import BusError, ConfigError
 from rhot.messages import Control, HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth
 from rhot.operation.control import newest_control
@@ -27,7 +27,6 @@ from rhot_tools.rig.depth import DepthRow, calibration_px, disparities, row_at, 
 
 _HOLD_S: Final = 3.0
 _ANSWER_S: Final = 2.0
-_SESSION_CONNECT_S: Final = 5.0
 
 
 def depth_session(
@@ -104,7 +103,7 @@ def depth_rows(
 async def pictures_of(bus_config: BusConfig, cameras: Sequence[str], count: int) -> dict[str, list[ImageArray]]:
     """Return some pictures of each running camera, bit by bit as they are."""
     found: dict[str, list[ImageArray]] = {name: [] for name in cameras}
-    async with await Bus.open(bus_config, timeout_s=_SESSION_CONNECT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         for _ in range(count):
             for name in cameras:
                 replies = await bus.get(f"rhot/preview/{name}?format=png", timeout_s=_ANSWER_S)
@@ -116,7 +115,6 @@ async def pictures_of(bus_config: BusConfig, cameras: Sequence[str], count: int)
 
 # What a rig says for a while: from the running one, or from a recording.
 
-_CONNECT_S: Final = 5.0
 _MODELS: Final[dict[str, type[Message]]] = {
     "rhot/markers/*": MarkerFrame,
     "rhot/points": PointSet,
@@ -189,7 +187,7 @@ async def listen(bus_config: BusConfig, seconds: float, progress: Callable[[floa
         BusError: no router, or no camera's markers came.
     """
     heard = Heard()
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         now_ns, heard.clock_s = await measured_rig_clock(bus)
         control = await newest_control(bus)
         if control is not None:

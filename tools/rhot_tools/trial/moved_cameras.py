@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rhot.arrays import FloatArray
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.geometry.camera import CameraModel
@@ -189,8 +189,6 @@ def _pair_json(pair: PairReport, seen: SeenTracks) -> dict[str, Any]:
 
 # `rhot evaluate calibration`.
 
-_CONNECT_TIMEOUT_S: Final = 5.0
-
 
 def _board(ctx: click.Context, param: click.Parameter, text: str | None) -> Board | None:
     # How large the squares are does not matter to epipolar lines.
@@ -336,7 +334,7 @@ async def _listen(bus_config: BusConfig, seconds: float, gatherer: TrackGatherer
     Raises:
         BusError: no router, or no marker frame in all that time.
     """
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         with _progress("seconds") as progress:
             task = progress.add_task("", total=round(seconds))
             loop = asyncio.get_running_loop()

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.live import Live
 
 from rhot.atomic_file import write_atomic
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.errors import BusError, ConfigError
 from rhot.recording.picture_file import decode_picture
 from rhot.rig import BusConfig
@@ -28,7 +28,6 @@ from rhot_calibration.cameras.live.session import Session, label
 from rhot_calibration.cameras.solve.views import Board, BoardView, ViewSet
 from rhot_calibration.writing import keyboard
 
-CONNECT_S: Final = 2.0
 _ROUND_S: Final = 0.2
 _ANSWER_S: Final = 1.0
 _ALL_THERE_S: Final = 10.0

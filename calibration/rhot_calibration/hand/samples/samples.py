@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.atomic_file import why_unread
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.messages import MarkerFrame, Point, PointSet, decode, first_problem
 from rhot.offline import marker_frames, track
@@ -25,6 +25,7 @@ from rhot.recording import Recording
 from rhot.recording.mcap.reader import is_mcap, open_mcap
 from rhot.rig import BusConfig, Rig
 from rhot_calibration.hand.fit.parameters import HandParameters
+from rhot_calibration.live import listening
 
 # Which part of a recording shows the hand flat and which the fingers straight, and what a live one asks for when.
 
@@ -163,7 +164,6 @@ def straight_stretch(seconds: FloatArray, deficit: FloatArray, limit_m: float, f
 # Where the point sets of a hand calibration come from: a recording, a file of `rhot process`, or the running rig.
 
 _POINTS_KEY: Final = "rhot/points"
-_CONNECT_S: Final = 3.0
 
 
 def recorded_points(rig: Rig, recording: Recording, on_frame: Callable[[], None]) -> Iterator[PointSet]:
@@ -233,15 +233,10 @@ async def live_points(bus_config: BusConfig, seconds: float, on_time: Callable[[
         async for _, point_set in bus.events(_POINTS_KEY).messages(PointSet):
             points.append(point_set)
 
-    async with await Bus.open(bus_config, timeout_s=_CONNECT_S) as bus:
-        listening = asyncio.create_task(listen(bus))
-        try:
-            while (passed := time.monotonic() - began) < seconds and not listening.done():
-                on_time(passed, len(points))
-                await asyncio.sleep(0.1)
-        finally:
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus, listening(listen(bus)) as (task,):
+        while (passed := time.monotonic() - began) < seconds and not task.done():
+            on_time(passed, len(points))
+            await asyncio.sleep(0.1)
     if not points:
         raise BusError(
             f"nothing came on {_POINTS_KEY} within {seconds:g} s; is the rig running and started "

@@ -7,13 +7,14 @@ import contextlib
 from collections.abc import Callable
 from typing import Final
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.errors import CalibrationError
 from rhot.messages import HandPose, ObjectPose
 from rhot.operation.control import newest_control
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import registration_name, registration_path
-from rhot_calibration.objects.live import CONNECT_TIMEOUT_S, HINT_S, Hint, StreamWatch, check_session
+from rhot_calibration.live import HINT_S, Hint, StreamWatch, listening
+from rhot_calibration.objects.live import check_session
 from rhot_calibration.objects.touch.checks import judged, least_touches, missing_faces
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.fit import Touch
@@ -79,25 +80,20 @@ async def collect_touches(
             collector.take_back()
             hint(f"taken back; {collector.asked}")
 
-    async with await Bus.open(bus_config, timeout_s=CONNECT_TIMEOUT_S) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         start = await newest_control(bus)
         check_session(start, registration_path(rig.path, task.source) or rig.path / registration_name(task.source))
         # A session that is about to start: what still comes from the one before is another world.
         from_ns = start.start_t_ns if start is not None and start.action == "start" else 0
         services = {task.hand_key: "ik", task.object_key: "objects"}
         models: dict[str, type[HandPose | ObjectPose]] = {task.hand_key: HandPose, task.object_key: ObjectPose}
-        tasks = [asyncio.create_task(follow(bus, key, model)) for key, model in models.items()]
-        tasks.append(asyncio.create_task(_work_out(collector, task, changed)))
-        try:
+        works = [follow(bus, key, model) for key, model in models.items()]
+        async with listening(*works, _work_out(collector, task, changed)) as tasks:
             with keyboard(pressed) if keys else contextlib.nullcontext():
                 watch = StreamWatch(tasks, heard, services, patience_s, _REMEDY, hint)
                 while not collector.done:
                     watch.look(lambda: collector.hint)
                     await asyncio.sleep(HINT_S)
-        finally:
-            for each in tasks:
-                each.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
 
 
 async def _work_out(collector: TouchCollector, task: TouchTask, changed: asyncio.Event) -> None:

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import viser
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.calibration_step import CalibrationStep, Figures, Remark, StepContext, StepView, load_steps
 from rhot.errors import RhotError
 from rhot.operation.control import broadcast, new_session
@@ -92,7 +92,6 @@ _READ_AT_START: Final = (
     *(CAMERAS_FILE, HAND_FILE, HEADSET_FILE, REGISTRATION_FILE),
     *map(registration_name, OBJECT_SOURCES),
 )
-_CONNECT_S: Final = 2.0
 
 
 class Sessions:
@@ -115,7 +114,7 @@ class Sessions:
         Raises:
             BusError: there is no router, or no service owns the rig clock.
         """
-        async with self._one_at_a_time, await Bus.open(self._context.bus, timeout_s=_CONNECT_S) as bus:
+        async with self._one_at_a_time, await Bus.open(self._context.bus, timeout_s=CONNECT_S) as bus:
             self._begun += 1
             # Distinguishes two sessions within a second, which would otherwise have the same id.
             name = f"{new_session()}-{self._begun}"

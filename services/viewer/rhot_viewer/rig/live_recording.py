@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Final
 
 from rhot.atomic_file import why
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.errors import ConfigError, RhotError
 from rhot.recording.mcap.gaps import Tally
 from rhot.rig import BusConfig
 from rhot.text import printable
 
-_CONNECT_S: Final = 2.0
 _LONGEST_NAME: Final = 100
 
 
@@ -105,7 +104,7 @@ class LiveRecording:
         from rhot.recording.mcap.session import record, subscribe  # noqa: PLC0415
         from rhot.recording.mcap.writer import McapWriter, rig_files  # noqa: PLC0415
 
-        async with await Bus.open(self._bus, timeout_s=_CONNECT_S) as bus:
+        async with await Bus.open(self._bus, timeout_s=CONNECT_S) as bus:
             try:
                 file.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
