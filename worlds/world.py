@@ -210,8 +210,6 @@ def _move_fingers(
                 track.to(name, at_s + late_s, lasting_s, value)
 
 
-# One world, all of it drawn from a seed: hand, rig, look, timing, motions and boards.
-
 # A random right hand: its proportions, girth, paint and patch.
 
 # Proportions of a hand of length 1, wrist to the tip of the middle finger; each hand varies about them.

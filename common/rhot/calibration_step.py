@@ -16,7 +16,7 @@ from typing import Final, Literal, Protocol
 from rhot.errors import ConfigError
 from rhot.plugins import install_hint
 from rhot.rig.folder import load_config
-from rhot.rig.marker_config import BusConfig
+from rhot.rig.sections import BusConfig
 
 GROUP: Final = "rhot.page_steps"
 ORDER: Final = {

@@ -17,10 +17,10 @@ from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.hull import hull_planes
 from rhot.messages import MeshShape, ObjectShape
-from rhot.messages.objects import MOST_PLANES
+from rhot.messages.tracked import MOST_PLANES
 from rhot.rig import Rig
 from rhot.rig.kept_file import file_stamp
-from rhot.rig.marker_config import MeshConfig
+from rhot.rig.sections import MeshConfig
 from rhot.text import SparingLog, parse_json
 
 logger = logging.getLogger(__name__)

@@ -73,8 +73,6 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-# Text from outside, made harmless: the one function that stands between the network and terminals, logs and markup.
-
 # Saying the same thing at most once in a while: what others send must not fill a disk with our logs.
 
 INTERVAL_S: Final = 5.0

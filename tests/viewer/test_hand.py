@@ -8,7 +8,7 @@ from stub_rig import StubRig
 
 from rhot.anatomy.skeleton import CHAINS, JOINTS
 from rhot.messages import HandPose
-from rhot_viewer.scene.things import (
+from rhot_viewer.scene.drawn import (
     BONE_COLOR,
     GHOST_SWELL,
     JOINT_COLOR,

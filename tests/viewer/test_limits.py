@@ -11,7 +11,7 @@ from rhot.geometry.rotations import quaternion_from_rotation, rotation_from_vect
 from rhot.messages import FingerAngles, HandPose, Joint
 from rhot.messages.base import wire_position
 from rhot.rig import HandFile
-from rhot_viewer.scene.things import LINES, STEPS, limit_lines
+from rhot_viewer.scene.drawn import LINES, STEPS, limit_lines
 
 MODEL = HandModel.from_file(HandFile(), "left")
 

@@ -19,7 +19,7 @@ from rhot.messages import (
     PointSet,
     SphereShape,
 )
-from rhot_viewer.scene.things import (
+from rhot_viewer.scene.drawn import (
     FOOT_MIDDLE_M,
     FOOT_SIZE_M,
     MARKER_RADIUS_M,

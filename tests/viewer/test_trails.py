@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rhot_viewer.scene.things import Trails
+from rhot_viewer.scene.drawn import Trails
 
 STEP_NS = 50_000_000
 

@@ -225,8 +225,6 @@ def _hidden(played: Sequence[Played]) -> tuple[FloatArray, BoolArray]:
     return np.array(ends), np.array(backs, dtype=np.bool_)
 
 
-# `rhot evaluate feet`: feet of a simulated person, beside the 2021 thesis's tracker.
-
 # Finished runs as files, so that an interrupted `rhot evaluate feet` goes on where it was.
 #
 # One file holds one run of one person. It counts only for the same run, rig, length and version of the code; anything

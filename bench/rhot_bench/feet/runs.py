@@ -82,8 +82,6 @@ class ThesisTracker:
         return {side: state for side, state in states.items() if state is not None}
 
 
-# Simulated runs of the foot tracker: one walking person, our tracker and the 2021 thesis's on the same data.
-
 # The knees in the simulated runs of the foot tracker, against the truth.
 
 

@@ -25,7 +25,7 @@ from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.messages import BoxShape, CylinderShape, HandPose, Message, ObjectPose, SphereShape
 from rhot.messages.base import wire_position
-from rhot.messages.objects import ObjectShape
+from rhot.messages.tracked import ObjectShape
 from rhot.offline import core, track_with
 from rhot.recording import load_recording
 from rhot.report.svg import line_plot

@@ -281,8 +281,6 @@ def _clockwise(corners: FloatArray) -> FloatArray:
     return np.roll(ordered, -int(np.argmin(ordered.sum(axis=1))), axis=0)
 
 
-# What the cameras of one rig see of one clip, as marker frames that capture would publish, and the truth beside.
-
 # The hand that is worn on a rig: a clip of a recording, and flesh, paint, patch and object, drawn at random.
 
 _FLESH_MM: Final = ((9.5, 9.5, 8.8), (9.5, 8.5, 7.6), (9.5, 8.6, 7.8), (9.0, 8.0, 7.3), (8.0, 7.2, 6.6))

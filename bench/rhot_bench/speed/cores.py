@@ -17,7 +17,7 @@ from rhot.rig import Rig
 from rhot_bench.speed.interleaved import Spread, interleaved, lockstep, no_collection, ratio_rows, time_rows, timed
 from rhot_bench.speed.simulated import Cameras, Capture, Moment, moments
 from rhot_bench.thesis.capture import ThesisDetector
-from rhot_bench.thesis.ik import HINGES_DEG, ROTOR_DEG, Arrival, ThesisFinger, ThesisFusion, ThesisHand, Vector
+from rhot_bench.thesis.hand import HINGES_DEG, ROTOR_DEG, Arrival, ThesisFinger, ThesisFusion, ThesisHand, Vector
 from rhot_bench.thesis.paint_samples import thesis_boxes
 from rhot_capture.detection.subpixel import windows
 from rhot_capture.detection.subpixel.windows import MIN_CONTRAST, MIN_SURROUNDINGS, MISFIT, NOISE, RIDGE, TINY

@@ -141,8 +141,6 @@ def _seen_at(mark: FloatArray, camera: CameraModel) -> FloatArray:
     return position
 
 
-# `rhot evaluate steps`: feet on recordings of real sensors and real pictures, with what the truth there is.
-
 # The standard detectors of zero velocity over whole recordings, to compare the live one with.
 #
 # All are tests over a window of n samples of specific force f (m/s²) and angular rate ω (rad/s); small means still:
@@ -178,8 +176,6 @@ def ared(angular_rate: FloatArray, size: int = 5) -> FloatArray:
     statistic: FloatArray = (w * w).sum(axis=2).mean(axis=1) / RATE_NOISE**2
     return statistic
 
-
-# `rhot evaluate steps`: feet on recordings of real sensors and real pictures, with what the truth there is.
 
 # Which way a foot points, by how its heel is lifted, on recorded walks (`rhot_feet.filter.displacement`).
 #

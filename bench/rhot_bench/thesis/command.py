@@ -23,7 +23,7 @@ from rhot_bench.processes import read_table
 from rhot_bench.speed.cores import MILLI, SpeedScene, capture_section
 from rhot_bench.speed.simulated import Cameras, Capture, moments
 from rhot_bench.thesis.capture import ThesisDetector
-from rhot_bench.thesis.ik import law_depth_m
+from rhot_bench.thesis.hand import law_depth_m
 from rhot_bench.thesis.paint_samples import thesis_boxes
 from rhot_bench.tracking.tracking import RATE_HZ, scene_frames, simulated_rig
 from rhot_sim.world.motion import MotionSample, StillMotion

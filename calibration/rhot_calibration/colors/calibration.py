@@ -134,8 +134,6 @@ def check_quality(quality: Mapping[str, MarkerQuality]) -> None:
             )
 
 
-# Colours of all markers from a few picks in pictures: grow regions, fit classes, look for what they mistake.
-
 # Which colours of the surroundings are skin: those of its hue that are found rather on the hand than elsewhere.
 #
 # The hue alone does not tell: wooden desks and cardboard have that of skin, and dark skin in weak light is as dark as
@@ -204,8 +202,6 @@ def _has_hue(component: ColorComponent) -> bool:
     (red_low, red_high), (blue_low, blue_high) = ((0.02, 0.90), (-1.60, -0.02))
     return bool(red_low <= red <= red_high and blue_low <= blue <= blue_high)
 
-
-# Colours of all markers from a few picks in pictures: grow regions, fit classes, look for what they mistake.
 
 # How the cameras of a rig differ in white balance and exposure, from the paints that several of them show.
 #

@@ -76,8 +76,6 @@ def typed_hand(length_m: float, width_m: float | None) -> HandFile:
     return hand.model_copy(update={"quality": quality})
 
 
-# From the point sets of a recording to `hand.json`: finds the phases and the straight fingers, and fits the hand.
-
 # What a hand's samples may not lack and what a calibrated hand may not be: the reasons to refuse it.
 #
 # Every function raises a `CalibrationError` that says what is wrong and what to do.
@@ -171,8 +169,6 @@ def refuse_inhuman(hand: HandFile) -> None:
             "cameras see the corners of the patch on its back, and check which marker is bound to which joint"
         )
 
-
-# From the point sets of a recording to `hand.json`: finds the phases and the straight fingers, and fits the hand.
 
 # Which lengths of a calibrated hand were measured, which follow from proportions, and how surely each is known.
 

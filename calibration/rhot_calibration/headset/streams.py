@@ -187,8 +187,6 @@ class ViewCollector:
         self.views.append(HeadsetView(t_ns, T, velocity, found.corners, found.corner_sigma_px))
 
 
-# Views from a running rig, and from a recording of one.
-
 # Views of a marker from a moving head, and a first idea of where camera and marker are.
 #
 # It comes from the marker's middle alone, whose position one picture tells well: 24 rotations of the camera are

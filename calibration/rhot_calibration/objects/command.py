@@ -87,8 +87,6 @@ def source_of(table: Path | None, live: bool, bus: BusConfig) -> BusConfig | Pat
     return table
 
 
-# `rhot calibrate objects`.
-
 # Places in a CSV table.
 
 COLUMNS: Final = (
@@ -163,8 +161,6 @@ def _number(file: Path, line: int, name: str, text: str | None) -> float:
         raise CalibrationError(f"{file}:{line}: {name} is {value}; it must be finite")
     return value
 
-
-# `rhot calibrate objects`.
 
 # A registration in a table and lines for people.
 

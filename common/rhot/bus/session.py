@@ -19,7 +19,7 @@ from rhot.bus.subscriber import EventSubscriber, LatestSubscriber
 from rhot.bus.zenoh_config import MAX_SAMPLE_BYTES, MAX_WAITING_ANSWERS, LimitCounts, plain_reason, session_config
 from rhot.errors import BusError
 from rhot.messages import Message
-from rhot.rig.marker_config import BusConfig
+from rhot.rig.sections import BusConfig
 
 logger = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ import zenoh
 
 from rhot.errors import BusError
 from rhot.keys import ROUTER, access_control, credentials, load_roles
-from rhot.rig.marker_config import BusConfig
+from rhot.rig.sections import BusConfig
 
 # How much of what the network sends may pile up in one process, and how often that much was reached.
 

@@ -29,12 +29,12 @@ _COMMANDS: Final = {
             "Run everything on the PC: router, fusion, ik, objects, feet, web page.", "rhot_tools.operate.up:up", "pc"
         ),
         "start": LazyCommand(
-            "Tell every service of the rig to start at the same moment.", "rhot_tools.operate.start_stop:start"
+            "Tell every service of the rig to start at the same moment.", "rhot_tools.operate.run:start"
         ),
-        "stop": LazyCommand("Tell every service of the rig to stop.", "rhot_tools.operate.start_stop:stop"),
+        "stop": LazyCommand("Tell every service of the rig to stop.", "rhot_tools.operate.run:stop"),
         "status": LazyCommand(
             "Show which services are running, with their rates, losses, latency and errors.",
-            "rhot_tools.operate.start_stop:status",
+            "rhot_tools.operate.run:status",
         ),
         "config": LazyCommand(
             "Show or change a running service's configuration.", "rhot_tools.operate.configure:config"
@@ -81,9 +81,7 @@ _COMMANDS: Final = {
         "feet": LazyCommand("Service: track feet with a depth camera on the head and ankle sensors.", extra="feet"),
         "viewer": LazyCommand("Service: serve the web page that shows the running rig.", extra="viewer"),
         "bridge": LazyCommand("Service: send what is tracked to other programs: VMC, VRChat, JSON, ….", extra="bridge"),
-        "router": LazyCommand(
-            "Service: the Zenoh router that others connect to.", "rhot_tools.operate.start_stop:router"
-        ),
+        "router": LazyCommand("Service: the Zenoh router that others connect to.", "rhot_tools.operate.run:router"),
         "truth": LazyCommand("Service: publish the truth of the simulated world.", extra="sim"),
     },
 }

@@ -24,7 +24,8 @@ from rhot.messages.base import (
     first_problem,
 )
 from rhot.messages.codec import MAX_PAYLOAD_BYTES, decode, encode, encoding_of, unpack, with_seq
-from rhot.messages.objects import (
+from rhot.messages.services import ClockReply, Control, ServiceStatus
+from rhot.messages.tracked import (
     BodyJoint,
     BodyPose,
     BoxShape,
@@ -48,7 +49,6 @@ from rhot.messages.objects import (
     TruePose,
     Truth,
 )
-from rhot.messages.services import ClockReply, Control, ServiceStatus
 from rhot.types import PointState, Side, State
 
 __all__ = [

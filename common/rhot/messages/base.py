@@ -1,4 +1,4 @@
-"""Common parts of all messages: value types, the base models, and a pose."""
+"""Common parts of all messages: value types, base models, a pose, and validation errors as one line for people."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from rhot.rig.config import (
 )
 from rhot.rig.feet_config import BodyConfig, DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
 from rhot.rig.folder import Rig, load_rig, read_json_model, write_json_model
-from rhot.rig.marker_config import BridgeConfig, BridgeTarget, BusConfig
+from rhot.rig.sections import BridgeConfig, BridgeTarget, BusConfig
 
 __all__ = [
     "BodyConfig",

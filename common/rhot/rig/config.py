@@ -11,7 +11,7 @@ from rhot.messages import Name, Side
 from rhot.rig.calibration import DeskHeight
 from rhot.rig.feet_config import BodyConfig, FeetConfig, WalkProgram
 from rhot.rig.file_model import FileModel, HoldS, NotNegative, Positive, Vector3
-from rhot.rig.marker_config import (
+from rhot.rig.sections import (
     PICTURE_NEUTRAL,
     BridgeConfig,
     Brightness,
@@ -22,7 +22,7 @@ from rhot.rig.marker_config import (
     V4l2Control,
     check_shared_paints,
 )
-from rhot.rig.marker_config import MarkerConfig as MarkerConfig  # noqa: PLC0414 - others look for it here
+from rhot.rig.sections import MarkerConfig as MarkerConfig  # noqa: PLC0414 - others look for it here
 
 
 class CameraConfig(FileModel):

@@ -1,4 +1,4 @@
-"""Reading and changing a service's configuration over the bus, while it runs."""
+"""Configuration of a running service, and files of the running rig, over the bus."""
 
 from __future__ import annotations
 

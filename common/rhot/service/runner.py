@@ -21,7 +21,7 @@ from rhot.clock import LocalRigClock, NodeClock, SyncedRigClock, SystemClock
 from rhot.errors import BusError, ConfigError, DeviceError, HungDeviceError, RhotError, WireError
 from rhot.keys import SERVICES, key_file
 from rhot.messages import Control, ServiceStatus
-from rhot.rig.marker_config import BusConfig
+from rhot.rig.sections import BusConfig
 from rhot.service import configuration
 from rhot.service.clock_sync import ClockWatch, keep_synced, serve_clock, watch_for_rivals
 from rhot.service.control import CONTROL_KEY, ControlLink, with_start_in_reach

@@ -1,4 +1,4 @@
-"""How a process of ours is asked to end."""
+"""How a process of ours is asked to end, and tells systemd that it is ready and alive."""
 
 from __future__ import annotations
 

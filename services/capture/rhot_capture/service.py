@@ -26,7 +26,7 @@ from rhot.rig import Rig
 from rhot.rig.config import CameraConfig
 from rhot.rig.file_model import FileModel, Positive
 from rhot.rig.folder import latest_rig, load_config, read_json_model, write_json_model
-from rhot.rig.marker_config import Brightness, Contrast, Saturation
+from rhot.rig.sections import Brightness, Contrast, Saturation
 from rhot.rig.toml_edit import change_rig_file
 from rhot.service import Node
 from rhot.service.grabber import Grabber
@@ -142,8 +142,6 @@ class KeptOptics:
         change_rig_file(self._rig_path, {("cameras", self._camera): changes})
         write_json_model(self._previous, before)
 
-
-# The capture service: frames in, marker positions out.
 
 # Publishes a camera's frames for recording.
 

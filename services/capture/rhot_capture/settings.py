@@ -1,4 +1,4 @@
-"""The settings that may change while a camera runs: its optics and the width of each marker's colour."""
+"""What may change while a camera runs: its optics, the width of each marker's colour, and the colours themselves."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rhot.rig.colors import ColorsFile, HsvRangeColor, Share, Tolerance, load_co
 from rhot.rig.config import CameraConfig
 from rhot.rig.file_model import FileModel, NotNegative, Positive
 from rhot.rig.kept_file import KeptFile, file_stamp
-from rhot.rig.marker_config import PICTURE_NEUTRAL, Brightness, Contrast, Saturation
+from rhot.rig.sections import PICTURE_NEUTRAL, Brightness, Contrast, Saturation
 from rhot_capture.detection.color_table import ColorTable, build_color_table, hsv_of, table_colors
 
 # The colours of a running camera: `colors.json` as it changes, and the live settings.

@@ -73,8 +73,6 @@ def plan_sensors(rig: Rig, feet: FeetConfig) -> dict[Side, ImuSource]:
     return {side: make_imu_source(config, rig.path, simulated.get(side)) for side, config in configs.items()}
 
 
-# The feet service: depth camera, ankle sensors and the head's poses in, `rhot/foot/<side>` out.
-
 # Choosing a depth camera by its kind in `rig.toml`; each kind is imported only when it is asked for.
 
 
@@ -107,8 +105,6 @@ def open_depth_source(rig: Rig, now_ns: Callable[[], int]) -> DepthSource:
     source: DepthSource = load_simulated("depth_camera").from_rig(rig, now_ns)
     return source
 
-
-# The feet service: depth camera, ankle sensors and the head's poses in, `rhot/foot/<side>` out.
 
 # The newest picture of a depth camera; see `rhot.service.grabber`.
 

@@ -94,8 +94,6 @@ class StreamGuard:
         return "refuse"
 
 
-# The fusion core: computes point sets from marker frames.
-
 # Explain fusion: the state of each marker, and why views were accepted or rejected (read-only).
 
 

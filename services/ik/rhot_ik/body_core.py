@@ -94,8 +94,6 @@ class Stature:
         self.body = self._configured.lengthened(legs_m, self._longer_m - legs_m)
 
 
-# From `rhot/head`, `rhot/foot/<side>` and `rhot/hand/<side>` to `rhot/body`.
-
 # Jumps of a tracked position: found by what bodies cannot do, and bridged at a speed that they can.
 #
 # A tracker that loses its map goes on at another position, and may come back. Between two samples its increment i
@@ -217,8 +215,6 @@ class JumpBridge:
         away = float(np.linalg.norm(self._offset)) > self._limits.noise_m
         return Bridged(position, self._velocity, away, jumped)
 
-
-# From `rhot/head`, `rhot/foot/<side>` and `rhot/hand/<side>` to `rhot/body`.
 
 # The whole lower body from the head and the feet: hips, knees, ankles, balls of the feet, joint angles.
 

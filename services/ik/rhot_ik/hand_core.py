@@ -63,8 +63,6 @@ class RepeatedPredictions:
         return stated if views == 2 else tuple(times * value for value in stated)
 
 
-# From `rhot/points` to `rhot/hand/<side>`: binds markers to hands and wraps solutions into messages.
-
 # Explain the hand estimate: residuals, angles and their limits, the prior (read-only).
 
 _EXPLAIN_ANGLES = ("flexion", "abduction", "middle hinge", "last hinge")
@@ -173,8 +171,6 @@ def _palm(side: str, solver: HandSolver, track: HandTrack, solution: HandSolutio
     ]
     return Explanation(f"Hand {side}: palm", ("quantity", "value"), tuple(ExplanationRow(row) for row in rows))
 
-
-# From `rhot/points` to `rhot/hand/<side>`: binds markers to hands and wraps solutions into messages.
 
 # Smoothing of a recording in blocks, so that memory does not grow with its length.
 

@@ -198,8 +198,6 @@ class WatchedRun(ABC):
             await asyncio.sleep(min(show_every_s, max(0.0, self._duration_s - self._elapsed_s())))
 
 
-# The processes of a simulated rig: router, services, and how all of them end together.
-
 # One run of the whole simulated rig: what is collected, shown and reported of it.
 
 _SWITCH_S: Final = 0.0005

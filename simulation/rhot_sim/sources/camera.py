@@ -20,7 +20,7 @@ from rhot.clock import NodeClock, SkewedClock
 from rhot.errors import ConfigError, DeviceError
 from rhot.rig import CameraConfig, Rig
 from rhot.rig.colors import ColorsFile
-from rhot.rig.marker_config import PICTURE_NEUTRAL
+from rhot.rig.sections import PICTURE_NEUTRAL
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.pacing import Pacer
@@ -55,8 +55,6 @@ def with_picture(image: Image, picture: Mapping[str, float]) -> Image:
     matrix = np.column_stack([contrast * colors, np.full(3, offset)])
     return np.asarray(cv2.transform(image, matrix), dtype=np.uint8)
 
-
-# A simulated camera: renders the world that every other simulated node knows too, in real time.
 
 # Which frames a simulated camera draws on a machine that cannot draw them all.
 #

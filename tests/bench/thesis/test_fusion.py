@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_bench.thesis.ik import Arrival, OneEuro, ThesisFusion, law_depth_m
+from rhot_bench.thesis.hand import Arrival, OneEuro, ThesisFusion, law_depth_m
 
 
 def test_the_law_fits_the_distances_that_it_was_made_for() -> None:

@@ -9,7 +9,7 @@ import pytest
 from rhot.anatomy.hand import HandModel
 from rhot.rig import HandFile
 from rhot_bench.speed.cores import thesis_fingers
-from rhot_bench.thesis.ik import ROTOR_DEG, TOLERANCE_M, ThesisFinger, ThesisHand, Vector, solve_finger
+from rhot_bench.thesis.hand import ROTOR_DEG, TOLERANCE_M, ThesisFinger, ThesisHand, Vector, solve_finger
 
 MODEL = HandModel.from_file(HandFile(), "right")
 INDEX = thesis_fingers(MODEL)[1]

@@ -22,7 +22,7 @@ from rhot.rig.config import (
     SimConfig,
 )
 from rhot.rig.feet_config import BodyConfig, DepthCameraConfig, FeetConfig, FootConfig, ImuConfig
-from rhot.rig.marker_config import BusConfig
+from rhot.rig.sections import BusConfig
 
 MODELS = (
     BusConfig, CameraConfig, FusionConfig, HandConfig, IkConfig, MarkerConfig, ObjectConfig, RigConfig, SimConfig,

@@ -6,7 +6,7 @@ import pytest
 
 from rhot.anatomy.markers import own_paints, worn_paints
 from rhot.rig import MarkerConfig
-from rhot.rig.marker_config import check_shared_paints
+from rhot.rig.sections import check_shared_paints
 
 PATCH = {"kind": "patch", "joint": "wrist", "size_m": (0.04, 0.03)}
 

@@ -28,7 +28,7 @@ from rhot.rig import BusConfig
 from rhot.service import ControlState, control
 from rhot.service.clock_sync import exchange_with_all
 from rhot.service.runner import serve
-from rhot_tools.operate.start_stop import _control
+from rhot_tools.operate.run import _control
 
 
 async def test_waits_for_start_then_works_then_stops(router: BusConfig) -> None:

@@ -14,7 +14,7 @@ from rhot.object_mesh import mesh_file
 from rhot.rig import load_rig
 from rhot.rig.folder import RIG_FILE
 from rhot_viewer.browser.rig_scene import MeshLayer
-from rhot_viewer.scene.things import PREDICTED_COLOR
+from rhot_viewer.scene.drawn import PREDICTED_COLOR
 
 QUARTER_ABOUT_Y = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
 

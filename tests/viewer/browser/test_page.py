@@ -16,8 +16,8 @@ from rhot.errors import DeviceError
 from rhot.messages import HandPose
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import InstanceLayer
+from rhot_viewer.scene.drawn import hand_shape
 from rhot_viewer.scene.instances import balls, unit_ball
-from rhot_viewer.scene.things import hand_shape
 
 
 @pytest.fixture

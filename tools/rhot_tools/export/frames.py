@@ -82,8 +82,6 @@ def _write(ezc3d: Any, file: Path, frames: Frames, metres: FloatArray, y_up: boo
         part.write_bytes(whole.read_bytes())
 
 
-# Everything that moves, read at common moments: files of biomechanics hold frames at one steady rate.
-
 # TRC (positions of markers) and MOT (joint angles) as OpenSim reads them.
 #
 # Formats: OpenSim's documentation, "Marker (.trc) Files" and "Motion (.mot) Files". Lengths are metres (`Units m`),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rhot.arrays import FloatArray
 from rhot.geometry.hull import hull_surface
 from rhot.geometry.rotations import inverse, quaternion_from_rotation, rigid
-from rhot.messages.objects import BoxShape, CylinderShape, MeshShape, ObjectShape, SphereShape
+from rhot.messages.tracked import BoxShape, CylinderShape, MeshShape, ObjectShape, SphereShape
 from rhot_tools.export.poses import ExportedMotion
 from rhot_tools.export.skeleton_motion import SkeletonMotion, skeleton_motion
 
@@ -128,8 +128,6 @@ def _sphere(radius_m: float) -> Mesh:
             faces += [(a, d, c), (a, c, b)]
     return Mesh(corners, np.array(faces))
 
-
-# What moves in a recording as one animated glTF scene: metres, each at the times of its own poses.
 
 # A glTF 2.0 document in the making: one buffer, accessors into it, and the JSON around them.
 #

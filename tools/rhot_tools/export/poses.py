@@ -15,7 +15,7 @@ from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import BodyPose, FootPose, HandPose, Message, ObjectPose, Side
 from rhot.messages.base import Pose
-from rhot.messages.objects import ObjectShape
+from rhot.messages.tracked import ObjectShape
 from rhot_tools.export.columns import angle_name
 
 HAND_PARENTS: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)

@@ -12,7 +12,7 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rigid
 from rhot.messages import HandPose, Message, ObjectPose
-from rhot.messages.objects import ObjectShape
+from rhot.messages.tracked import ObjectShape
 from rhot_tools.export.poses import ExportedMotion, motions
 from rhot_tools.export.skeleton_motion import rotations_between
 

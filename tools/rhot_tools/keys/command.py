@@ -21,7 +21,7 @@ from rhot.keys import AUTHORITY, KEYS_FOLDER, Holder, RoleKind, load_roles, writ
 from rhot.messages import first_problem
 from rhot.rig.config import RigConfig
 from rhot.rig.folder import COLORS_FILE, RIG_FILE, write_text_atomic
-from rhot.rig.marker_config import BusConfig
+from rhot.rig.sections import BusConfig
 from rhot.rig.toml_edit import change_rig_file
 from rhot.text import parse_toml
 

@@ -1,4 +1,4 @@
-"""How the measuring commands end: tables on standard output, JSON when asked for."""
+"""How the measuring commands end: tables on standard output, JSON or HTML when asked for."""
 
 from __future__ import annotations
 

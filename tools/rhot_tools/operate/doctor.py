@@ -41,7 +41,7 @@ from rhot.rig.folder import (
     registration_name,
     registration_path,
 )
-from rhot.rig.marker_config import MeshConfig
+from rhot.rig.sections import MeshConfig
 from rhot.text import as_argument
 from rhot_tools.operate.findings import Finding, check_bus, is_local
 

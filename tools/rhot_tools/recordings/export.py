@@ -53,8 +53,6 @@ def stage_of(messages: Iterable[tuple[str, Message]], rig: Rig | None) -> FloatA
     return None
 
 
-# `rhot export`: a recording as tables, as an animation, or for a viewer of robots' data.
-
 # The files of `rhot export` that hold motion: BVH, TRC, MOT, C3D and glTF, in the stage where the floor is known.
 
 

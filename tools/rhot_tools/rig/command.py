@@ -98,8 +98,6 @@ def simulated_truth(rig: Rig, heard: Heard) -> SimulatedTruth | None:
     return SimulatedTruth(cameras, schedules, heard.start_ns, rig)
 
 
-# `rhot evaluate rig`: one's own rig measured as the 2018 thesis measured its own, as one report.
-
 # One figure to quote: two markers a known distance apart, moved through the volume, and how far off that distance is.
 #
 # This is the sphere-spacing error of VDI/VDE 2634 for a pair that moves, as ASTM E3064 measures motion capture with a

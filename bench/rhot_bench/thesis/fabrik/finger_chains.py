@@ -91,8 +91,6 @@ def joint_rotations(angles: FloatArray) -> FloatArray:
     return R
 
 
-# The five fingers as one batch of FABRIK chains.
-
 # FABRIK with joint limits, for many chains of the same build at once.
 #
 # Each iteration runs backward from the target on points alone and forward from the base on angles: the forward pass

@@ -92,8 +92,6 @@ def _settings(config: PairedConfig, focal_px: float) -> OneEuroSettings:
     )
 
 
-# The paired methods: evaluate all cameras' tracks at a common time and compute points from them.
-
 # Association of views with markers, and triangulation of points.
 #
 # There are three passes. Markers are measured from views that agree with the prediction and with each other. The

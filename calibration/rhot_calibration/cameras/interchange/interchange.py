@@ -93,8 +93,6 @@ def _data(content: dict[str, Any], field: str, file: Path) -> Any:
     return entry.get("data") if isinstance(entry, dict) else entry
 
 
-# Calibrations of other programs to `cameras.json`, and back to OpenCV's files.
-
 # OpenCV FileStorage files: the usual pair `intrinsics.yml` and `extrinsics.yml`, and one camera per file.
 
 INTRINSICS_FILE: Final = "intrinsics.yml"

@@ -1,4 +1,4 @@
-"""What views may not lack before cameras can be placed by them: the reasons to refuse them."""
+"""Why pictures of a board are refused or contradict each other: what is missing, usual mistakes, a moved camera."""
 
 from __future__ import annotations
 
@@ -120,12 +120,8 @@ def _relative_poses(first: Adjusted, second: Adjusted) -> tuple[list[int], Float
     return numbers, np.array(rows)
 
 
-# What views may not lack before cameras can be placed by them: the reasons to refuse them.
-
 # Why pictures contradict each other: the usual mistakes, tried one after the other.
 
-
-# What views may not lack before cameras can be placed by them: the reasons to refuse them.
 
 # Mistakes in taking pictures that make most of them contradict each other.
 

@@ -123,8 +123,6 @@ def _smoothed(R: FloatArray, seconds: FloatArray) -> FloatArray:
     return smooth
 
 
-# What straight fingers tell of a hand: residuals of the samples in which it is flat or bent at the knuckles only.
-
 # The most probable hand, by least squares over few parameters, and what it leaves uncertain.
 
 Residuals = Callable[[FloatArray], FloatArray]

@@ -159,8 +159,6 @@ def straight_stretch(seconds: FloatArray, deficit: FloatArray, limit_m: float, f
     return best
 
 
-# The samples of one hand: what a calibration keeps of a stream of point sets.
-
 # Where the point sets of a hand calibration come from: a recording, a file of `rhot process`, or the running rig.
 
 _POINTS_KEY: Final = "rhot/points"

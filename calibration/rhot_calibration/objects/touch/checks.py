@@ -16,7 +16,7 @@ from rhot_calibration.objects.touch.fit import OffsetFit, Touch, fit_offset
 
 # The faces of a shape that a finger can touch, and how far a fingertip stands off each.
 #
-# Axes are the object's own, see `rhot.messages.objects`. A box has six faces: top and bottom at +y and −y, right and
+# Axes are the object's own, see `rhot.messages.tracked`. A box has six faces: top and bottom at +y and −y, right and
 # left at +x and −x, front and back at +z and −z. A cylinder has two ends, top and bottom at +z and −z, and a side all
 # round. A sphere is touched anywhere.
 

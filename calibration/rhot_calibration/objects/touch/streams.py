@@ -14,7 +14,7 @@ from rhot.messages import FacedShape, HandPose, Message, ObjectPose, Side
 from rhot.object_mesh import configured_mesh
 from rhot.rig import Rig
 from rhot.rig.cameras import camera_model
-from rhot.rig.marker_config import MeshConfig
+from rhot.rig.sections import MeshConfig
 from rhot_calibration.objects.touch.collector import TouchCollector
 from rhot_calibration.objects.touch.faces import face_named, usual_faces
 from rhot_calibration.objects.touch.fit import Touch

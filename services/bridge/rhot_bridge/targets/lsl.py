@@ -81,8 +81,6 @@ def joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
     return tuple(BODY_PARENTS) if isinstance(tracked, Body) else (name,)
 
 
-# LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
-
 # Maps the rig clock to another clock of this machine, for programs with their own clock.
 #
 # With r and l the readings of both clocks at one moment, o = l − r is their offset. A sample of rig time s has the

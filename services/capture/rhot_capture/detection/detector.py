@@ -21,7 +21,7 @@ from rhot_capture.detection.candidates import MIN_PLAUSIBILITY, Candidate, Reaso
 from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts
-from rhot_capture.detection.hand.reach import HandAxis, HandReach, HandScale, SkinContact
+from rhot_capture.detection.hand.evidence import HandAxis, HandReach, HandScale, SkinContact
 from rhot_capture.detection.hand.sharing import SharedPaints, spot_of
 from rhot_capture.detection.result import Decisions, Detection
 from rhot_capture.detection.score import probability

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from rhot.errors import DeviceError
 from rhot.rig.config import CameraConfig
-from rhot.rig.marker_config import PICTURE_NEUTRAL
+from rhot.rig.sections import PICTURE_NEUTRAL
 from rhot_capture.settings import CameraSettings
 
 logger = logging.getLogger(__name__)

@@ -121,8 +121,6 @@ def _refined(
     return floor
 
 
-# The plane that the depth image sees inside a marker.
-
 # From depth pixels to points.
 
 Mask = NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""Data types of the trackers: marker observations of one frame, and markers in space."""
+"""Observations of one frame and markers in space, with the small algebra they need."""
 
 from __future__ import annotations
 
@@ -57,8 +57,6 @@ class HandCoherence:
         far: BoolArray = (away * away).sum(axis=1) > self._reach_m**2
         return ~far
 
-
-# Data types of the trackers: marker observations of one frame, and markers in space.
 
 # Vector algebra on plain floats, for arrays too small for numpy to be faster.
 

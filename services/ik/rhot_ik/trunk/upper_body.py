@@ -127,8 +127,6 @@ def _upright(bone: FloatArray, right: FloatArray, otherwise: FloatArray) -> Floa
     return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
-# The whole upper body from hips, head and tracked hands.
-
 # An arm in closed form: two bones between a shoulder and a tracked wrist.
 #
 # Two bones of known length leave one angle open: where on a circle the elbow is. Nobody measures it. Held straight

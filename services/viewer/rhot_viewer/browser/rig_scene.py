@@ -20,8 +20,7 @@ from rhot_viewer.browser.camera_layer import CameraLayer, PictureClick
 from rhot_viewer.browser.page import Page
 from rhot_viewer.rig.inbox import Inbox
 from rhot_viewer.rig.truth_track import TruthTrack
-from rhot_viewer.scene.instances import Instances, Mesh, Rgb, rotation_of_z, unit_ball, unit_box, unit_rod
-from rhot_viewer.scene.things import (
+from rhot_viewer.scene.drawn import (
     LINES,
     OBJECT_COLOR,
     PREDICTED_COLOR,
@@ -37,6 +36,7 @@ from rhot_viewer.scene.things import (
     marker_balls,
     object_copies,
 )
+from rhot_viewer.scene.instances import Instances, Mesh, Rgb, rotation_of_z, unit_ball, unit_box, unit_rod
 from rhot_viewer.scene.viewpoint import (
     Viewpoint,
     close_up,
@@ -107,8 +107,6 @@ def _surface(rig: Rig, name: str, shape: MeshShape) -> tuple[NDArray[np.float64]
         return mesh.corners, mesh.triangles
     return hull_surface(np.array(shape.planes))
 
-
-# The whole 3D scene of a rig: what stands still is drawn once, what moves with every frame.
 
 # Nodes of the 3D scene in the browser that are filled with arrays of `rhot_viewer.scene`.
 #

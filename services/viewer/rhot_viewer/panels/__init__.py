@@ -4,7 +4,7 @@ from rhot_viewer.panels.calibrate import CalibratePanel
 from rhot_viewer.panels.cameras import CamerasPanel
 from rhot_viewer.panels.live import LivePanel
 from rhot_viewer.panels.pictures import PicturesPanel
-from rhot_viewer.panels.view import Panel, RecordPanel, TimelinePanel, ViewPanel
+from rhot_viewer.panels.session import Panel, RecordPanel, TimelinePanel, ViewPanel
 
 __all__ = [
     "CalibratePanel",

@@ -84,8 +84,6 @@ def _table(table: Figures) -> str:
     return f"<div style='font-weight:bold'>{escape(table.title)}</div><table>{body}</table>"
 
 
-# The tab that leads through the calibration, step by step.
-
 # Restarting the rig from the page, so that its services use the new calibration.
 
 _READ_AT_START: Final = (
@@ -126,8 +124,6 @@ class Sessions:
     def _now(self) -> tuple[tuple[int, int], ...]:
         return tuple(file_stamp(self._context.rig_path / name) for name in _READ_AT_START)
 
-
-# The tab that leads through the calibration, step by step.
 
 # What stands before the cameras of a simulated rig: the one thing that no hand can do for them.
 

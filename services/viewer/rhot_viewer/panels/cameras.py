@@ -95,8 +95,6 @@ def change_to(marker: str, sliders: BoundsSliders) -> dict[str, Any]:
     return {"bounds": {marker: bounds}}
 
 
-# Sliders that act on the running capture services.
-
 # The bounds of one camera's colours, seen and moved.
 
 _ABOUT: Final = (

@@ -129,8 +129,6 @@ def _solved(first: Vector, rest: Vector, right: Sequence[float]) -> Vector:
     )
 
 
-# Windows of the image that contain a blob each, and the grids on which they are measured.
-
 # Painted shares of a window's pixels: relative to local levels, and interpolated between pixels.
 
 CoverageArray = NDArray[np.float32]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from rhot.rig.config import CameraConfig
-from rhot.rig.marker_config import PICTURE_NEUTRAL
+from rhot.rig.sections import PICTURE_NEUTRAL
 
 # Conversion of saturation, contrast and brightness to the units of a V4L2 driver.
 #

@@ -18,7 +18,7 @@ import numpy as np
 
 from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.rig.config import CameraConfig
-from rhot.rig.marker_config import PICTURE_NEUTRAL
+from rhot.rig.sections import PICTURE_NEUTRAL
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.v4l2.controls import (

@@ -121,8 +121,6 @@ class DeviceClock:
         return ((after - before + _WRAP // 2) % _WRAP - _WRAP // 2) * self._tick_ns
 
 
-# A sensor on a serial port, by the `serial` package (pyserial).
-
 # The text protocol of a BNO080 on a serial line; see docs/feet.md.
 #
 # A line is `timestamp L x y z;` (linear acceleration, m/s², sensor frame) or `timestamp R i j k real;` (rotation vector
@@ -242,8 +240,6 @@ def encode_text(stamp: int, acceleration: _Values, quaternion_xyzw: _Values) -> 
     q = " ".join(f"{value:.5f}" for value in quaternion_xyzw)
     return f"{stamp} L {a};\n{stamp} R {q};\n".encode()
 
-
-# A sensor on a serial port, by the `serial` package (pyserial).
 
 # RHOT's own binary protocol for sensors that send 400 samples a second; see docs/feet.md.
 #

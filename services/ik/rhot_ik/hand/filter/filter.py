@@ -113,8 +113,6 @@ def within_limits(
     return dx, P
 
 
-# Kalman filter of the whole hand: wrist pose, twenty angles and person-specific parameters from all points.
-
 # Constraint on a tip that no camera sees: it is not inside the object that the hand holds.
 #
 # That such a tip is behind something is true, but tells little: told with every sample that it is behind the hand's

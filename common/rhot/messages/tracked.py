@@ -1,4 +1,4 @@
-"""Tracked objects and the headset."""
+"""What is tracked, as messages: markers and points, hands, feet and body, objects and headset, spaces."""
 
 from __future__ import annotations
 
@@ -111,8 +111,6 @@ class PointSet(Message):
     points: Annotated[dict[Name, Point], Field(max_length=256)]
 
 
-# Tracked objects and the headset.
-
 # Feet, and the body computed from feet, head and hands.
 
 
@@ -204,8 +202,6 @@ class BodyPose(Message):
     state: State
 
 
-# Tracked objects and the headset.
-
 # A hand.
 
 
@@ -257,8 +253,6 @@ class HandPose(Message):
     state: State
 
 
-# Tracked objects and the headset.
-
 # Further frames with a known pose in the rig frame: the floor, a tracking system's space.
 
 Row = tuple[float, float, float, float]
@@ -292,8 +286,6 @@ class Space(Message):
             raise ValueError("T_rig_space moves by more than 1000 m")
         return value
 
-
-# Tracked objects and the headset.
 
 # Ground truth of a simulated world.
 

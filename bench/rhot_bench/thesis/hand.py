@@ -1,4 +1,4 @@
-"""How the 2018 thesis bent its fingers: FABRIK chain by chain, rotor and hinge limits, 1 cm of tolerance, no coupling.
+"""How the 2018 thesis made points of two cameras and bent its fingers: depth law, 1-euro filter, FABRIK chain by chain.
 
 Each finger is three bones from its knuckle: the first is held in a cone about a direction of the palm (rotor), the
 others turn about the finger's x axis only (hinges, with limits). A chain starts from where it was; after each of at

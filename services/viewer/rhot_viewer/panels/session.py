@@ -1,4 +1,4 @@
-"""Where to look from, and what to show."""
+"""Small tabs of the page: recording, the last two minutes of each service, and where to look from."""
 
 from __future__ import annotations
 
@@ -97,8 +97,6 @@ def _state_html(recording: LiveRecording) -> str:
     return "".join(said)
 
 
-# Where to look from, and what to show.
-
 # The last two minutes: rate, latency, losses and error, a line per service.
 
 _CHARTS: Final = {
@@ -162,8 +160,6 @@ class TimelinePanel:
         ]
         return (uplot.Series(label="s"), *lines)
 
-
-# Where to look from, and what to show.
 
 # What a tab of the page's panel is.
 

@@ -1,4 +1,4 @@
-"""Search regions of missing markers: within a hand's reach of the hand's other markers.
+"""What a hand tells of its markers: its reach, direction and scale in the image, and skin beside the paint.
 
 Faint colours occur everywhere in a room, some with a few pixels of a paint's typical colour among them; in pictures
 without a hand they would be false detections. They are therefore searched for only where a finger can be that is being
@@ -111,8 +111,6 @@ def _skin_share(candidate: Candidate, image: ImageArray, skin: ImageArray) -> fl
     return cv2.countNonZero(ring & colours) / max(cv2.countNonZero(ring), 1)
 
 
-# Search regions of missing markers: within a hand's reach of the hand's other markers.
-
 # Direction of each hand in the image; rejects blobs behind the wrist, such as a cuff of a fingertip's colour.
 #
 # The patch on the back of the hand lies between wrist and fingertips. As long as three fingertips are seen, the hand
@@ -214,8 +212,6 @@ def _nearest_side(axis: tuple[float, float], corners: Sequence[tuple[float, floa
             best, most = ((x, y) if along > 0.0 else (-x, -y)), abs(along)
     return best
 
-
-# Search regions of missing markers: within a hand's reach of the hand's other markers.
 
 # Scale of each hand in the image, estimated from its markers; rejects larger objects of a paint's colour.
 #

@@ -1,4 +1,4 @@
-"""What is painted on hands: markers, and which of them wear the same paint."""
+"""Sections of `rig.toml`: bridges, the bus, shapes of objects, pictures, and what is painted on hands."""
 
 from __future__ import annotations
 
@@ -71,8 +71,6 @@ class BridgeConfig(FileModel):
     allow_origins: Annotated[tuple[str, ...], Field(max_length=16)] = ()
 
 
-# What is painted on hands: markers, and which of them wear the same paint.
-
 # What people write in `rig.toml` about the bus.
 
 Endpoint = Annotated[str, Field(min_length=1, max_length=200)]
@@ -128,8 +126,6 @@ class BusConfig(FileModel):
         return self
 
 
-# What is painted on hands: markers, and which of them wear the same paint.
-
 # Shapes of objects as `rig.toml` states them: those of the messages, with unknown fields refused, or a file.
 
 _FILE = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=False)
@@ -168,8 +164,6 @@ class MeshConfig(FileModel):
 
 
 ShapeConfig = Annotated[BoxConfig | CylinderConfig | SphereConfig | MeshConfig, Field(discriminator="kind")]
-
-# What is painted on hands: markers, and which of them wear the same paint.
 
 # Saturation, contrast and brightness of a camera's picture: their units, and what leaves a picture alone; V4L2's own.
 #

@@ -1,4 +1,4 @@
-"""`rhot start` and `rhot stop`: the broadcast that all services follow."""
+"""`rhot start`, `stop`, `status` and `router`: running a rig from the command line."""
 
 from __future__ import annotations
 
@@ -62,8 +62,6 @@ def router(listen: tuple[str, ...], rig_path: Path, namespace: str | None) -> in
     chosen = endpoints("--listen", listen) or bus.listen or DEFAULT_LISTEN
     return asyncio.run(_route(bus.model_copy(update={"mode": "router", "connect": (), "listen": chosen})))
 
-
-# `rhot start` and `rhot stop`: the broadcast that all services follow.
 
 # `rhot status`: which services are alive and how they do.
 

@@ -1,4 +1,4 @@
-"""Everything beside the hand as balls, rods and boxes: markers, objects, head, feet and legs."""
+"""What the scene draws: hand, joint limits, fingertip paths, markers, objects, head, feet and legs."""
 
 from __future__ import annotations
 
@@ -133,8 +133,6 @@ def _shape(
     )
 
 
-# Everything beside the hand as balls, rods and boxes: markers, objects, head, feet and legs.
-
 # The paths that fingertips have left in the last moments.
 
 _STEP_NS: Final = 50_000_000
@@ -200,8 +198,6 @@ class Trails:
         faded = [np.array(of[name]) * (1.0 - ends) + np.array(background) * ends for name in self._paths]
         return np.concatenate(faded).astype(np.uint8)
 
-
-# Everything beside the hand as balls, rods and boxes: markers, objects, head, feet and legs.
 
 # How far each joint of a hand may bend, as fans of lines: what the filter and the chain solver obey.
 #
