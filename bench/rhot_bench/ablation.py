@@ -1,19 +1,23 @@
-"""`rhot evaluate ablation`: what each term and each number of fusion and ik earns.
+"""`rhot evaluate ablation`: what each term and each number of the estimators earns.
 
-Every constant of the modules of both estimators is halved and doubled, and every term of `TERMS` is switched off, one
-at a time. Each variant tracks the same detected markers, of sets of rendered pictures and of rigs
-of the motion family. A figure is the mean over these worlds; its change is told against the tracker as it is.
+Every constant of the modules of fusion and ik, of detection, or of feet is halved and doubled, and every term of
+`TERMS` is switched off, one at a time. Each variant tracks the same detected markers, of sets of rendered pictures
+and of rigs of the motion family; detection finds them anew, and feet are those of simulated walks. A figure is the
+mean over these worlds; its change is told against the tracker as it is.
 """
 
 from __future__ import annotations
 
 import inspect
+import pkgutil
 import sys
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -22,17 +26,27 @@ import click
 import numpy as np
 from rich.console import Console
 
+from rhot.anatomy.body_proportions import BodyModel
 from rhot.cli.options import FiniteRange
-from rhot.messages import MarkerFrame
+from rhot.messages import FootPose, MarkerFrame
 from rhot.offline import track, track_smoothly
 from rhot.recording import load_recording
 from rhot.rig import Rig
+from rhot.rig.feet_config import FeetConfig
+from rhot_bench.feet.heads import START_NS, Heads
+from rhot_bench.feet.runs import COMPUTE_S, STEP_S
 from rhot_bench.motion.errors import coverage, hand_errors, point_errors
 from rhot_bench.motion.run import tracked
 from rhot_bench.motion.tracks import Tracks, make_tracks
 from rhot_bench.pictures.rendered import SEQUENCES, Measures, at_rate_of, found_markers, prepare_rig, require_pictures
 from rhot_bench.pictures.scoring import score_messages
 from rhot_bench.processes import each
+from rhot_feet.foot_core import FootCore
+from rhot_feet.frames import DepthFrame, pinhole
+from rhot_sim.sources.imu import SimulatedSource
+from rhot_sim.walker.folder import write_walker_rig
+from rhot_sim.walker.person import person_of
+from rhot_sim.walker.world import WalkerWorld
 from rhot_tools.measures.output import counted, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
@@ -42,22 +56,12 @@ EARNS: Final = 3.0
 Change = tuple[tuple[str, str, Any], ...]
 """Module, name and value of everything that a variant changes; a dot in the name: an attribute of it."""
 
-_MODULES: Final = (
-    "rhot_fusion.filter.acquisition",
-    "rhot_fusion.filter.joint",
-    "rhot_fusion.filter.motion",
-    "rhot_fusion.filter.paint",
-    "rhot_fusion.filter.smoothing.smoother",
-    "rhot_fusion.filter.systematic",
-    "rhot_fusion.filter.tracker",
-    "rhot_fusion.filter.tracks",
-    "rhot_fusion.filter.visible_side",
-    "rhot_ik.hand.blending",
-    "rhot_ik.hand.solver",
-    "rhot_ik.hand.filter.evidence",
-    "rhot_ik.hand.filter.filter",
-    "rhot_ik.hand.filter.process",
-)
+_PACKAGES: Final = {
+    "hand": ("rhot_fusion.filter", "rhot_ik.hand"),
+    "detection": ("rhot_capture.detection",),
+    "feet": ("rhot_feet.depth", "rhot_feet.filter", "rhot_feet.imu", "rhot_feet.marker", "rhot_feet.foot_core"),
+}
+"""Whose constants are varied."""
 _MOTION, _PAINT, _HAND = "rhot_fusion.filter.motion", "rhot_fusion.filter.paint", "rhot_ik.hand.filter.filter"
 _TRACKS, _SOLVER = "rhot_fusion.filter.tracks", "rhot_ik.hand.solver"
 
@@ -101,6 +105,7 @@ class Sources:
     """Worlds to track.
 
     Attributes:
+        of: whose constants are varied: with `detection` markers are found anew, with `feet` simulated persons walk.
         pictures: folders of rendered pictures, each with the folder that keeps its rig and its markers.
         data: folder with the recorded hands; None = no rigs of the family.
         seeds: of these rigs.
@@ -108,6 +113,7 @@ class Sources:
         smooth: use later data, too.
     """
 
+    of: str
     pictures: tuple[tuple[Path, Path], ...]
     data: Path | None
     seeds: tuple[int, ...]
@@ -135,7 +141,7 @@ def changed(change: Change) -> Iterator[None]:
             undo.append((constant, part, getattr(constant, part)))
             object.__setattr__(constant, part, value)
             continue
-        for other in [sys.modules[one] for one in _MODULES if one in sys.modules]:
+        for other in [found for path, found in list(sys.modules.items()) if path.startswith("rhot_")]:
             if other.__dict__.get(name) is constant:
                 undo.append((other, name, constant))
                 setattr(other, name, value)
@@ -146,10 +152,10 @@ def changed(change: Change) -> Iterator[None]:
             object.__setattr__(part, name, value)
 
 
-def variants() -> dict[str, Change]:
-    """Return every term switched off and every constant halved and doubled, by name."""
-    found = {f"without: {name}": change for name, change in TERMS.items()}
-    for module in _MODULES:
+def variants(of: str) -> dict[str, Change]:
+    """Return every term switched off and every constant halved and doubled, by name; only the hand has terms."""
+    found = {f"without: {name}": change for name, change in TERMS.items()} if of == "hand" else {}
+    for module in sorted(_modules(of)):
         for name, value in vars(import_module(module)).items():
             # An imported constant is varied where it is defined; whole numbers count rows and cameras.
             if name.isupper() and _is_measure(value) and f"\n{name}: Final" in _source(module):
@@ -157,6 +163,14 @@ def variants() -> dict[str, Change]:
                     key = f"{module.removeprefix('rhot_')}.{name.lower().lstrip('_')} × {factor:g}"
                     found[key] = ((module, name, _scaled(value, factor)),)
     return found
+
+
+def _modules(of: str) -> Iterator[str]:
+    for name in _PACKAGES[of]:
+        package = import_module(name)
+        yield name
+        if hasattr(package, "__path__"):
+            yield from (found.name for found in pkgutil.walk_packages(package.__path__, f"{name}."))
 
 
 def _is_measure(value: Any) -> bool:
@@ -181,7 +195,8 @@ def run_variant(task: Task) -> tuple[str, dict[str, float]]:
     worlds = []
     with changed(task.change):
         for data, keep in sources.pictures:
-            for name, rig, frames in _pictures(data, keep):
+            for name, rig, kept in _pictures(data, keep):
+                frames = found_markers(rig, data, name, None) if sources.of == "detection" else kept
                 score = score_messages(data, name, run(rig, iter(frames)))
                 worlds.append(
                     {
@@ -191,7 +206,9 @@ def run_variant(task: Task) -> tuple[str, dict[str, float]]:
                         "coverage, %": score.coverage,
                     }
                 )
-        if sources.data is not None:
+        if sources.of == "feet":
+            worlds += [_walk_figures(seed, sources.seconds) for seed in sources.seeds]
+        elif sources.data is not None:
             rigs = [_tracks(seed, sources.data, sources.seconds) for seed in sources.seeds]
             worlds += [_motion_figures(tracks, smooth=sources.smooth) for tracks in rigs]
     names = dict.fromkeys(name for world in worlds for name in world)
@@ -229,6 +246,55 @@ def _motion_figures(tracks: Tracks, *, smooth: bool) -> dict[str, float]:
     }
 
 
+@cache
+def _walk(seed: int, seconds: float) -> tuple[WalkerWorld, FeetConfig, list[tuple[float, DepthFrame]]]:
+    """Return a simulated person, and each picture with the time at which it has arrived, seconds."""
+    with TemporaryDirectory(prefix="rhot-ablation-") as folder:
+        rig = write_walker_rig(Path(folder) / "rig", endpoint="tcp/127.0.0.1:7447")
+    feet = rig.config.feet or FeetConfig()
+    world = WalkerWorld(seed, person_of(BodyModel.from_config(rig.config.body), seed), "walk", feet=feet)
+    camera = pinhole(feet.camera.width, feet.camera.height, world.intrinsics, np.empty(0))
+    frames: list[tuple[float, DepthFrame]] = []
+    for index in count():
+        timing = world.timing(index)
+        if timing.delivered_s > seconds:
+            return world, feet, frames
+        # For a second in each three nothing is seen: what counts then is the sensor.
+        if not timing.dropped and timing.t_s % 3.0 < 2.0:
+            color, depth_mm = world.render(timing.t_s)
+            t_ns = START_NS + round(1e9 * timing.t_s)
+            frames.append((timing.delivered_s + COMPUTE_S, DepthFrame(t_ns, color, depth_mm, camera, index)))
+    raise AssertionError("count() ends")
+
+
+def _walk_figures(seed: int, seconds: float) -> dict[str, float]:
+    """Track a walk as the live service would, and compare the feet with the truth."""
+    world, feet, frames = _walk(seed, seconds)
+    tracker, heads, coming = FootCore(feet), Heads(world, seed), deque(frames)
+    sensors = {side: SimulatedSource(world, side) for side in feet.feet}
+    for sensor in sensors.values():
+        sensor.open(START_NS)
+    off_m, sides = [], 0
+    for now_s in np.arange(0.0, seconds, STEP_S):
+        now_ns = START_NS + round(1e9 * now_s)
+        for pose in heads.until(now_s):
+            tracker.add_head_pose(pose)
+        for side, sensor in sensors.items():
+            tracker.add_imu_samples(side, sensor.read(now_ns))
+        while coming and coming[0][0] <= now_s:
+            tracker.process(coming.popleft()[1])
+        due_ns = tracker.due_ns(now_ns)
+        truth = world.feet(np.array([1e-9 * (due_ns - START_NS)]))
+        sides += len(sensors)
+        off_m += [
+            float(np.linalg.norm(np.array(message.position) - truth[message.side][0, :3, 3]))
+            for _, message in tracker.poses(due_ns)
+            if isinstance(message, FootPose)
+        ]
+    median, p95 = np.percentile(off_m, (50, 95)) if off_m else (np.nan, np.nan)
+    return {"median, mm": 1e3 * median, "p95, mm": 1e3 * p95, "coverage, %": 100.0 * len(off_m) / sides}
+
+
 def worst(figures: Mapping[str, float], base: Mapping[str, float]) -> tuple[float, str]:
     """Return by how much the worst figure is worse, percent or points (at least 0), and its name."""
     worse = {}
@@ -256,7 +322,16 @@ def worst(figures: Mapping[str, float], base: Mapping[str, float]) -> tuple[floa
     metavar="SET KEEP",
     help="A folder of rendered pictures, and the folder that keeps its rig and markers; may be repeated.",
 )
-@click.option("--rigs", type=click.IntRange(min=0), default=6, show_default=True, help="Develop rigs of the family.")
+@click.option(
+    "--of", type=click.Choice(list(_PACKAGES)), default="hand", show_default=True, help="Whose numbers are varied."
+)
+@click.option(
+    "--rigs",
+    type=click.IntRange(min=0),
+    default=6,
+    show_default=True,
+    help="Develop rigs of the family; of feet, simulated walks.",
+)
 @click.option("--first", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first rig.")
 @click.option("--seconds", type=FiniteRange(min=1.0), default=2.5, show_default=True, help="Of each clip.")
 @click.option("--terms", is_flag=True, help="Only whole terms.")
@@ -266,6 +341,7 @@ def worst(figures: Mapping[str, float], base: Mapping[str, float]) -> tuple[floa
 def ablation(
     data_path: Path | None,
     picture_sets: tuple[tuple[Path, Path], ...],
+    of: str,
     rigs: int,
     first: int,
     seconds: float,
@@ -274,16 +350,16 @@ def ablation(
     jobs: int,
     json_path: Path | None,
 ) -> None:
-    """Switch off each term, and halve and double each number, of fusion and ik.
+    """Switch off each term, and halve and double each number, of fusion and ik, of detection, or of feet.
 
     DATA is the folder of recorded hands, as for `rhot evaluate motion`. The table holds what any figure loses: percent
     of errors, points of shares. What loses less than 3 either way has to justify itself otherwise.
     """
     check_output("--json", json_path)
     sets = tuple((require_pictures(data), keep) for data, keep in picture_sets)
-    seeds = tuple(2 * number for number in range(first, first + rigs)) if data_path else ()
-    sources = Sources(sets, data_path, seeds, seconds, smooth)
-    chosen = {name: change for name, change in variants().items() if not terms or name.startswith("without")}
+    seeds = tuple(2 * number for number in range(first, first + rigs)) if data_path or of == "feet" else ()
+    sources = Sources(of, sets, data_path, seeds, seconds, smooth)
+    chosen = {name: change for name, change in variants(of).items() if not terms or name.startswith("without")}
     work = [Task("as it is", (), sources), *(Task(name, change, sources) for name, change in chosen.items())]
     found: dict[str, dict[str, float]] = {}
     with counted(Console(stderr=True, soft_wrap=True)) as progress:

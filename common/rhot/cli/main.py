@@ -112,7 +112,7 @@ _EVALUATIONS: Final = {
         "hands": LazyCommand("Predict the inner joints of recorded real hands.", extra="bench"),
         "motion": LazyCommand("Track recorded hand motion before a family of random rigs.", extra="bench"),
         "pictures": LazyCommand("Track photo-real pictures of another rig and hand.", extra="bench"),
-        "ablation": LazyCommand("Switch off each term and vary each number of fusion and ik.", extra="bench"),
+        "ablation": LazyCommand("Switch off each term and vary each number of the estimators.", extra="bench"),
         "grasp": LazyCommand("Measure how well a hand takes hold of an object.", extra="bench"),
         "streams": LazyCommand("Fuse recorded marker tracks: measure steps, delay and noise at rest.", extra="bench"),
         "feet": LazyCommand(

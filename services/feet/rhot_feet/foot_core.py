@@ -212,7 +212,7 @@ class FootCore:
             # published; the second applies while its sensor works.
             lost_m = 0.2 if has_sensor else 0.5
             foot.lost = t_ns - max(foot.confirmed_ns, state.measured_ns) > self._hold_ns or state.sigma_m > lost_m
-            # Largest sigma at which it is published while its sensor works; without one, `measured_m`.
+            # Largest sigma at which it is published while its sensor works; without one, as for `measured`.
             published_m = 0.1 if has_sensor else _MEASURED_M
             if not (foot.lost or state.sigma_m > published_m):
                 outputs.append((f"rhot/foot/{side}", _message(side, state, confirmed=confirmed)))

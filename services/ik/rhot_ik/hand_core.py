@@ -177,7 +177,7 @@ def _palm(side: str, solver: HandSolver, track: HandTrack, solution: HandSolutio
 Settled = list[tuple[PointSet, dict[Side, HandSolution]]]
 
 AHEAD_NS: Final = 5_000_000_000
-"""A sample says next to nothing of a hand so long before: angles keep for `HandSettings.angles_s`, 2 s."""
+"""A sample says next to nothing of a hand so long before: angles keep for 2 s."""
 PIECE_NS: Final = 5_000_000_000
 """So much is smoothed at once; with what is ahead of it, 10 s of tracks are kept, some 40 MB at 120 points a second."""
 

@@ -58,9 +58,8 @@ class Neighbour:
     def excludes(self, position: FloatArray, share: float) -> bool:
         """Return whether a blob at a position (3,), with this share of a foot's surface, belongs to this foot."""
         distance = float(np.linalg.norm(position - self.position))
-        # Smallest distance of two feet's markers; closer blobs are the same foot.
-        # Closer feet whose surfaces together are below `both_share` (usual surface of
-        # each: 1) are the same foot.
+        # Closer blobs are the same foot; so are those up to 15 cm apart whose surfaces together are below 1.4 of
+        # the usual surface of one foot.
         return distance < (0.15 if self.share + share < 1.4 else 0.08)
 
 

@@ -31,10 +31,9 @@ from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_feet.imu.track import HELD_NS, ImuInterval
 
 _EARLY_RAD: Final = 0.1
-"""The same of a heel that is hardly lifted, by the sine of how far: the joints of the toes lie askew. With `axis_rad`
-this is 20° at a lift of 20° and 12° at 55°. Five recorded walks were 20° off there, root mean square, and 11° at
-their highest lifts of 31 to 66° (`rhot evaluate steps`).
-"""
+"""By how much the axis of a hardly lifted heel differs from straight across the foot, by the sine of the lift: the
+joints of the toes lie askew. With the 0.17 of any lift, this is 20° at a lift of 20° and 12° at 55°. Five recorded
+walks were 20° off there, root mean square, and 11° at their highest lifts of 31 to 66° (`rhot evaluate steps`)."""
 
 
 _UNIT: Final = np.eye(3)

@@ -30,7 +30,7 @@ from rhot_fusion.views.sightings import Vector, vector
 _COMPARE_S: Final = 0.1
 """Areas observed further apart in time are not compared, seconds."""
 _SETTLE_S: Final = 0.05
-"""Time constant of the low-pass filter of the compared widths while they change by less than `uneven`, seconds. Larger
+"""Time constant of the low-pass filter of the compared widths while they change by less than `_UNEVEN`, seconds. Larger
 changes are followed without delay: a lag of 0.03 caused 20 mm of depth error within 0.1 s for a thumb that one
 camera lost first. On 15 develop rigs, three simulated hands and the rendered pictures, 0.03 and 0.1 give the same
 errors; longer values reduce jitter at rest.
@@ -76,8 +76,8 @@ marker's largest area. Between 0 and 0.5 there is no difference on rendered and 
 on the latter.
 """
 _CURLED: Final = 0.65
-"""The direction of a finger's end is used in proportion to how far the finger extends, from nothing at `curled` to
-fully at `straight`, as shares of the distance from knuckle to straight tip. On 15 develop rigs (60 fps, side
+"""The direction of a finger's end is used in proportion to how far the finger extends, from nothing at `_CURLED` to
+fully at `_STRAIGHT`, as shares of the distance from knuckle to straight tip. On 15 develop rigs (60 fps, side
 correction compared with the truth) the best factors are −0.2, 0.3, 0.6, 1.1 and 0.9 at 0.51, 0.63, 0.78, 0.86 and
 0.97 of that distance; 0.05 less makes no difference. The correction is conservative, because a small area is more
 often caused by occlusion.
@@ -91,7 +91,7 @@ _FOUND: Final = 0.9
 """Share of a tip's area that is detected as its colour; pixels at the rim are mixed with the background."""
 _HIDDEN: Final = 0.5
 """Standard deviation of a tip's centre, each axis, for paint hidden from all cameras, as a share of the width that is
-missing beyond `most_bend`. On 15 develop rigs at 60 fps, 66, 30, 25 and 14 % of normalised errors exceeded the 95 %
+missing beyond `MOST_BEND`. On 15 develop rigs at 60 fps, 66, 30, 25 and 14 % of normalised errors exceeded the 95 %
 quantile of chi-square where the fullest view showed 0.15 to 0.2, 0.2 to 0.3, 0.3 to 0.4 and 0.4 to 0.6 of the
 largest area; with this term 5, 9, 11 and 10 %.
 """
@@ -263,7 +263,7 @@ class Paint:
                 size, doubt = self._hidden(camera, marker, t_s, area, depth, well_known)
             sizes.append(size)
             doubts.append(doubt)
-        # The error is correlated over `lasts_s`: all views within it carry the information of one.
+        # The error is correlated over `_LASTS_S`: all views within it carry the information of one.
         alike = math.sqrt(max(1.0, _LASTS_S / period_s))
         shifts = np.array(sizes)[:, None] * (_SHIFT * self._away[camera])
         if border is not None:

@@ -209,9 +209,9 @@ def outcome_of(
 ) -> Outcome:
     """Return the published outcome of markers.
 
-    A marker seen by two cameras is `measured` if its standard deviation is at most `measured_m` beyond the uncertainty
-    of any single pair of views. The systematic error is part of the published covariance but not of this test, because
-    it is the same in every frame.
+    A marker seen by two cameras is `measured` if its standard deviation is at most `TrackSettings.measured_m` beyond
+    the uncertainty of any single pair of views. The systematic error is part of the published covariance but not of
+    this test, because it is the same in every frame.
 
     Args:
         t_s: time of the outcome.

@@ -51,7 +51,7 @@ class VisibleArea:
     """Visible area of a fingertip's paint as a function of its angle to the line of sight.
 
     Attributes:
-        least: relative area at `most_bend`.
+        least: relative area at `MOST_BEND`.
         usual: square root of that of a relaxed finger.
     """
 

@@ -20,9 +20,7 @@ _STEP_M: Final = 0.0058
 A step beyond the true motion was to stay below 10 mm (`rhot evaluate motion`).
 """
 _FIRST_M: Final = 0.003
-"""The step is also limited to `first_m` plus this share of the remaining distance, so that the blend starts and ends
-smoothly.
-"""
+"""The step is also limited to this plus a fifth of what remains, so that the blend starts and ends smoothly."""
 _FASTEST_M_S: Final = 1.6
 """A faster motion of a tip relative to the palm is a correction, not motion: 20 rad/s of a finger 80 mm long."""
 
@@ -88,7 +86,7 @@ def blended(
         share *= shorter
         way = kinematics.marker_points((shown + share[:, None] * change).reshape(-1)) - begin
     angles = np.where(led[:, None], shown + share[:, None] * change, estimated)
-    # A blend continues until the finger arrives, even after `lasts_s`.
+    # A blend continues until the finger arrives, even after its shortest duration.
     none_s = 1e-9
     left = np.where(share < 1.0, np.maximum(left_s - dt_s, none_s), left_s - dt_s)
     return angles, np.where(led, np.maximum(left, 0.0), 0.0)

@@ -26,21 +26,23 @@ from rhot_ik.hand.track import HandSolution, HandTrack
 
 _SETTLES_S: Final = 0.025
 """The motion of a finger is added to the blend once the finger has been seen for this long with the standard deviation
-of its marker below `known_m` (root of the trace of its covariance); before, changes of the estimate are
+of its marker below `_BLEND_KNOWN_M` (root of the trace of its covariance); before, changes of the estimate are
 convergence, not motion. Half of the points that are known worse are over 45 mm off (fast hands of `rhot evaluate
 motion`, 30 fps, develop seeds 0 to 29).
 """
 _BLEND_KNOWN_M: Final = 0.04
 _WELL_MEASURED_M: Final = 0.01
-"""A marker with a larger standard deviation (as for `known_m`) counts as not yet reappeared: only one camera sees it.
+"""A marker with a larger standard deviation counts as not yet reappeared: only one camera sees it.
 """
 
 _PALM_SHARE: Final = 0.24
 """A patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the model's; nothing
 that is seen tells these apart. The share of the palm in their variance: of its 93 mm, the 65 mm of the metacarpal
-differ by 5 to 8 % in people whose hands have one length (see finger_share), which is 4.5 mm.
+differ by 5 to 8 % in people whose hands have one length (`_FINGER_SHARE` of the process model), which is 4.5 mm.
 """
 _LOST_S: Final = 0.3
+"""When the seen tips miss the model by more than wrong proportions explain for this long, the hand is looked for
+again: a wild marker lasts no longer."""
 _QUARTER_TURN: Final = 20.0
 """A palm whose patch would fit this much better a quarter turn off (difference of two chi-squares: odds of e¹⁰) is
 turned.

@@ -27,7 +27,7 @@ from rhot_fusion.filter.tracks import GATE, LOOSE_M, PAIR_S, RAY_SIGMA_M, SPEED_
 _BRIDGE_S: Final = 0.25
 """Longest time between, seconds."""
 _BRIDGE_SCALE: Final = 5.0
-"""Noise intensity of its motion between, m/s^1.5; a fast hand, see `MotionSettings.scales`."""
+"""Noise intensity of its motion between, m/s^1.5; a fast hand, see `SCALES`."""
 
 # The backward pass of smoothing.
 #
