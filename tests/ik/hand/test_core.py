@@ -233,13 +233,15 @@ def costs_s(right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wris
     ]
     geometry = FingerGeometry.of(right_hand, markers)
     closed_form, tips = AnalyticFingers(geometry), geometry.marker_points(EASE)
-    # Two hands, so that another process during one of them does not count.
-    sample_s = min(
-        least_s(lambda core=core, coming=coming: core.feed(next(coming)), len(samples))  # type: ignore[misc]
-        for core, coming in ((HandCore(right_rig), iter(samples)) for _ in range(2))
-    )
+    # Three hands, each beside the closed form, so that what another process slowed down does not count.
+    rounds = []
+    for _ in range(3):
+        core, coming = HandCore(right_rig), iter(samples)
+        sample_s = least_s(lambda core=core, coming=coming: core.feed(next(coming)), len(samples))  # type: ignore[misc]
+        rounds.append((least_s(lambda: closed_form.solve(tips), 200), sample_s))
+    closed_form_s, sample_s = min(rounds, key=lambda costs: costs[1] / costs[0])
     first_s = least_s(lambda: HandCore(right_rig).feed(samples[50]), 5)
-    return least_s(lambda: closed_form.solve(tips), 200), sample_s, first_s
+    return closed_form_s, sample_s, first_s
 
 
 def test_a_stage_and_its_first_sample_cost_little(costs_s: tuple[float, float, float]) -> None:
