@@ -189,30 +189,38 @@ def _scaled(value: Any, factor: float) -> Any:
 
 
 def run_variant(task: Task) -> tuple[str, dict[str, float]]:
-    """Return a variant's name and its figures, each the mean over the worlds."""
-    sources = task.sources
-    run = track_smoothly if sources.smooth else track
-    worlds = []
-    with changed(task.change):
-        for data, keep in sources.pictures:
-            for name, rig, kept in _pictures(data, keep):
-                frames = found_markers(rig, data, name, None) if sources.of == "detection" else kept
-                score = score_messages(data, name, run(rig, iter(frames)))
-                worlds.append(
-                    {
-                        "median, mm": score.median_mm,
-                        "p95, mm": score.p95_mm,
-                        "joints, mm": score.joints_mm,
-                        "coverage, %": score.coverage,
-                    }
-                )
-        if sources.of == "feet":
-            worlds += [_walk_figures(seed, sources.seconds) for seed in sources.seeds]
-        elif sources.data is not None:
-            rigs = [_tracks(seed, sources.data, sources.seconds) for seed in sources.seeds]
-            worlds += [_motion_figures(tracks, smooth=sources.smooth) for tracks in rigs]
+    """Return a variant's name and its figures, each the mean over the worlds; none where it cannot compute."""
+    try:
+        with changed(task.change):
+            worlds = _worlds(task.sources)
+    except (np.linalg.LinAlgError, ArithmeticError, ValueError):
+        return task.name, {}
     names = dict.fromkeys(name for world in worlds for name in world)
     return task.name, {name: float(np.nanmean([w[name] for w in worlds if name in w])) for name in names}
+
+
+def _worlds(sources: Sources) -> list[dict[str, float]]:
+    """Return the figures of each world."""
+    run = track_smoothly if sources.smooth else track
+    worlds: list[dict[str, float]] = []
+    for data, keep in sources.pictures:
+        for name, rig, kept in _pictures(data, keep):
+            frames = found_markers(rig, data, name, None) if sources.of == "detection" else kept
+            score = score_messages(data, name, run(rig, iter(frames)))
+            worlds.append(
+                {
+                    "median, mm": score.median_mm,
+                    "p95, mm": score.p95_mm,
+                    "joints, mm": score.joints_mm,
+                    "coverage, %": score.coverage,
+                }
+            )
+    if sources.of == "feet":
+        worlds += [_walk_figures(seed, sources.seconds) for seed in sources.seeds]
+    elif sources.data is not None:
+        rigs = [_tracks(seed, sources.data, sources.seconds) for seed in sources.seeds]
+        worlds += [_motion_figures(tracks, smooth=sources.smooth) for tracks in rigs]
+    return worlds
 
 
 @cache
@@ -297,6 +305,8 @@ def _walk_figures(seed: int, seconds: float) -> dict[str, float]:
 
 def worst(figures: Mapping[str, float], base: Mapping[str, float]) -> tuple[float, str]:
     """Return by how much the worst figure is worse, percent or points (at least 0), and its name."""
+    if not figures:
+        return 100.0, "it cannot compute"
     worse = {}
     for name, value in figures.items():
         if name.endswith("mm"):
