@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from itertools import count
+from itertools import count, takewhile
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -263,16 +263,14 @@ def _walk(seed: int, seconds: float) -> tuple[WalkerWorld, FeetConfig, list[tupl
     world = WalkerWorld(seed, person_of(BodyModel.from_config(rig.config.body), seed), "walk", feet=feet)
     camera = pinhole(feet.camera.width, feet.camera.height, world.intrinsics, np.empty(0))
     frames: list[tuple[float, DepthFrame]] = []
-    for index in count():
-        timing = world.timing(index)
-        if timing.delivered_s > seconds:
-            return world, feet, frames
+    timings = takewhile(lambda timing: timing.delivered_s <= seconds, map(world.timing, count()))
+    for index, timing in enumerate(timings):
         # For a second in each three nothing is seen: what counts then is the sensor.
         if not timing.dropped and timing.t_s % 3.0 < 2.0:
             color, depth_mm = world.render(timing.t_s)
             t_ns = START_NS + round(1e9 * timing.t_s)
             frames.append((timing.delivered_s + COMPUTE_S, DepthFrame(t_ns, color, depth_mm, camera, index)))
-    raise AssertionError("count() ends")
+    return world, feet, frames
 
 
 def _walk_figures(seed: int, seconds: float) -> dict[str, float]:

@@ -337,7 +337,7 @@ def page(results_path: Path, out_path: Path, readme_path: Path | None) -> None:
     \b
     rhot evaluate hands DATA --json docs/results/hands.json
     rhot evaluate page docs/results --out docs/accuracy.md --readme README.md
-    """  # noqa: D301 (click reads \b as "keep these lines")
+    """
     check_output("--out", out_path)
     results = load_results(results_path)
     write_text_atomic(out_path, accuracy_page(results))

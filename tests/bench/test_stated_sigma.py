@@ -8,7 +8,7 @@ import numpy as np
 
 from rhot.messages import PointSet
 from rhot.offline import track
-from rhot_bench.measures.hands import START_NS
+from rhot_bench.hands.accuracy import START_NS
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking.tracking import scene_frames
 from rhot_sim.rig.folder import write_simulated_rig

@@ -22,9 +22,9 @@ from rhot_bench.hands.recorded_hands import (
     plain_fingers,
     plain_hand,
 )
-from rhot_bench.thesis.fabrik.finger_chains import FabrikFingers
+from rhot_bench.thesis.fabrik import FabrikFingers
+from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
 from rhot_ik.hand.filter.evidence import HandObservation
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
 from rhot_ik.hand.solver import HandSolver
 
 RATE_HZ = 30.0

@@ -11,7 +11,7 @@ from rhot.arrays import FloatArray
 from rhot.messages import Control, MarkerFrame, Message, ServiceStatus
 from rhot.offline import core, track_with
 from rhot.rig import Rig
-from rhot_bench.measures.hands import START_NS
+from rhot_bench.hands.accuracy import START_NS
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking.two_hands import named_frames
 from rhot_objects.assemble import plan_sources

@@ -24,7 +24,7 @@ from rhot_bench.hands.recorded_joints import (
     solved,
     whole_chains,
 )
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
+from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
 from rhot_tools.measures.output import counted, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 

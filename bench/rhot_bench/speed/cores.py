@@ -14,15 +14,16 @@ from rhot.anatomy.hand import HandModel
 from rhot.arrays import FloatArray, ImageArray
 from rhot.messages import MarkerFrame, PointSet, encode
 from rhot.rig import Rig
+from rhot.types import Vector3
 from rhot_bench.speed.interleaved import Spread, interleaved, lockstep, no_collection, ratio_rows, time_rows, timed
 from rhot_bench.speed.simulated import Cameras, Capture, Moment, moments
 from rhot_bench.thesis.capture import ThesisDetector
-from rhot_bench.thesis.hand import HINGES_DEG, ROTOR_DEG, Arrival, ThesisFinger, ThesisFusion, ThesisHand, Vector
+from rhot_bench.thesis.hand import HINGES_DEG, ROTOR_DEG, Arrival, ThesisFinger, ThesisFusion, ThesisHand
 from rhot_bench.thesis.paint_samples import thesis_boxes
 from rhot_capture.detection.subpixel import windows
 from rhot_capture.detection.subpixel.windows import MIN_CONTRAST, MIN_SURROUNDINGS, MISFIT, NOISE, RIDGE, TINY
 from rhot_fusion.core import FusionCore
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
+from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
 from rhot_ik.hand_core import HandCore
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.world.world import World
@@ -220,7 +221,7 @@ def thesis_fingers(model: HandModel) -> list[ThesisFinger]:
     return fingers
 
 
-def _vector(values: FloatArray) -> Vector:
+def _vector(values: FloatArray) -> Vector3:
     x, y, z = values.tolist()
     return (x, y, z)
 

@@ -19,7 +19,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import Marker, MarkerFrame
 from rhot.rig import Rig
 from rhot.rig.colors import load_colors
-from rhot_bench.measures.hands import START_NS
+from rhot_bench.hands.accuracy import START_NS
 from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.timing import marker_frame, row_time_ns

@@ -18,7 +18,7 @@ from rhot.errors import ConfigError
 from rhot.messages import PointSet
 from rhot.offline import track
 from rhot.rig import Rig
-from rhot_bench.measures.hands import START_NS
+from rhot_bench.hands.accuracy import START_NS
 from rhot_bench.processes import read_table
 from rhot_bench.speed.cores import MILLI, SpeedScene, capture_section
 from rhot_bench.speed.simulated import Cameras, Capture, moments

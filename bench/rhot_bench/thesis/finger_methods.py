@@ -9,9 +9,9 @@ from pydantic import Field
 
 from rhot.arrays import FloatArray
 from rhot.rig.file_model import FileModel
-from rhot_bench.thesis.fabrik.finger_chains import FabrikFingers
+from rhot_bench.thesis.fabrik import FabrikFingers
 from rhot_bench.thesis.options import checked
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
+from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
 
 
 class _NoOptions(FileModel):
@@ -31,7 +31,7 @@ class _FabrikOptions(FileModel):
 
 
 class ClosedForm:
-    """The closed form of `rhot_ik.hand.fingers.closed_form` on every sample."""
+    """The closed form of `rhot_ik.hand.closed_form` on every sample."""
 
     def __init__(self, geometry: FingerGeometry, options: Mapping[str, Any]) -> None:
         checked(_NoOptions, options, "ik")

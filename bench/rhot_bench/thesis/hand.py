@@ -15,6 +15,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from rhot.types import Vector3
+
 # How the 2018 thesis made points of two cameras: latest arrivals within 20 ms, a depth law, a 1-euro filter.
 #
 #     D[cm] = 4543.3 · |u_left − u_right|^−1.035
@@ -23,7 +25,6 @@ from typing import Final
 # shared by all markers, and settings that never reached the filters. Pure Python on single numbers, as its Java was.
 
 Pixel = tuple[float, float]
-Point = tuple[float, float, float]
 
 PAIRING_S: Final = 0.020
 LAW: Final = (4543.3, -1.035)
@@ -90,7 +91,7 @@ class ThesisFusion:
         self._latest: dict[str, Arrival] = {}
         self._filters: dict[str, tuple[OneEuro, OneEuro, OneEuro]] = {}
 
-    def feed(self, camera: str, arrival: Arrival) -> dict[str, Point]:
+    def feed(self, camera: str, arrival: Arrival) -> dict[str, Vector3]:
         """Take a frame and return smoothed points, metres, left camera; empty without a partner within 20 ms."""
         self._latest[camera] = arrival
         left, right = self._latest.get("left"), self._latest.get("right")
@@ -111,7 +112,6 @@ class ThesisFusion:
 
 # How the 2018 thesis bent its fingers: FABRIK chain by chain, rotor and hinge limits, 1 cm of tolerance, no coupling.
 
-Vector = tuple[float, float, float]
 
 TOLERANCE_M: Final = 0.01
 MAX_ITERATIONS: Final = 10
@@ -134,14 +134,14 @@ class ThesisFinger:
         hinges_rad: largest turns of the two hinges; the least is 0.
     """
 
-    base: Vector
+    base: Vector3
     lengths: tuple[float, float, float]
-    axis: Vector
-    forward: Vector
+    axis: Vector3
+    forward: Vector3
     rotor_rad: float
     hinges_rad: tuple[float, float]
 
-    def straight(self) -> list[Vector]:
+    def straight(self) -> list[Vector3]:
         """Return the four joints of the straight finger."""
         points = [self.base]
         for length in self.lengths:
@@ -149,7 +149,7 @@ class ThesisFinger:
         return points
 
 
-def solve_finger(finger: ThesisFinger, target: Vector, start: Sequence[Vector]) -> list[Vector]:
+def solve_finger(finger: ThesisFinger, target: Vector3, start: Sequence[Vector3]) -> list[Vector3]:
     """Return the four joints, knuckle to tip, metres, that bring the tip near a target.
 
     Args:
@@ -191,7 +191,7 @@ class ThesisHand:
         self._fingers = tuple(fingers)
         self._poses = [finger.straight() for finger in fingers]
 
-    def solve(self, targets: Sequence[Vector]) -> list[list[Vector]]:
+    def solve(self, targets: Sequence[Vector3]) -> list[list[Vector3]]:
         """Return the four joints of every finger for tips, metres, palm frame."""
         self._poses = [
             solve_finger(finger, target, pose)
@@ -200,7 +200,7 @@ class ThesisHand:
         return self._poses
 
 
-def _hinged(inner: Vector, wanted: Vector, axis: Vector, limit_rad: float) -> Vector:
+def _hinged(inner: Vector3, wanted: Vector3, axis: Vector3, limit_rad: float) -> Vector3:
     """Return the direction of a bone: `wanted`, turned about the axis by 0 to the limit against the bone before."""
     flat = _unit(_in_plane(inner, axis))
     angle = math.atan2(_dot(_cross(flat, wanted), axis), _dot(flat, wanted))
@@ -210,7 +210,7 @@ def _hinged(inner: Vector, wanted: Vector, axis: Vector, limit_rad: float) -> Ve
     return (c * flat[0] + s * side[0], c * flat[1] + s * side[1], c * flat[2] + s * side[2])
 
 
-def _within_cone(direction: Vector, middle: Vector, limit_rad: float) -> Vector:
+def _within_cone(direction: Vector3, middle: Vector3, limit_rad: float) -> Vector3:
     cosine = min(max(_dot(direction, middle), -1.0), 1.0)
     if math.acos(cosine) <= limit_rad:
         return direction
@@ -225,27 +225,27 @@ def _within_cone(direction: Vector, middle: Vector, limit_rad: float) -> Vector:
     return (c * middle[0] + s * across[0], c * middle[1] + s * across[1], c * middle[2] + s * across[2])
 
 
-def _in_plane(v: Vector, normal: Vector) -> Vector:
+def _in_plane(v: Vector3, normal: Vector3) -> Vector3:
     off = _dot(v, normal)
     return (v[0] - off * normal[0], v[1] - off * normal[1], v[2] - off * normal[2])
 
 
-def _along(start: Vector, direction: Vector, length: float) -> Vector:
+def _along(start: Vector3, direction: Vector3, length: float) -> Vector3:
     return (start[0] + length * direction[0], start[1] + length * direction[1], start[2] + length * direction[2])
 
 
-def _minus(a: Vector, b: Vector) -> Vector:
+def _minus(a: Vector3, b: Vector3) -> Vector3:
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-def _dot(a: Vector, b: Vector) -> float:
+def _dot(a: Vector3, b: Vector3) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _cross(a: Vector, b: Vector) -> Vector:
+def _cross(a: Vector3, b: Vector3) -> Vector3:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def _unit(v: Vector) -> Vector:
+def _unit(v: Vector3) -> Vector3:
     size = math.sqrt(_dot(v, v))
     return (v[0] / size, v[1] / size, v[2] / size) if size > 1e-12 else (0.0, 0.0, -1.0)

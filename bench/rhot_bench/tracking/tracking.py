@@ -21,7 +21,7 @@ from rhot.offline import track
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import RIG_FILE
 from rhot.text import as_argument
-from rhot_bench.measures.hands import (
+from rhot_bench.hands.accuracy import (
     START_NS,
     HandFigures,
     Survival,

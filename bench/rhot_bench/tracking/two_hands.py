@@ -25,7 +25,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import HandPose, Marker, MarkerFrame, PointSet, Side
 from rhot.offline import core, track_smoothly, track_with
 from rhot.rig import Rig
-from rhot_bench.measures.hands import START_NS, against_truth, hand_figures
+from rhot_bench.hands.accuracy import START_NS, against_truth, hand_figures
 from rhot_bench.speed.simulated import Moment, moments, world_of
 from rhot_bench.tracking.tracking import MM, RATE_HZ, SETTLE_S, scene_frames
 from rhot_capture.detection.hand.sharing import SharedPaints, Spot

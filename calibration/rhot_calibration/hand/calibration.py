@@ -26,7 +26,7 @@ from rhot_calibration.hand.fit.residuals import (
     fit,
     palm_rotations,
 )
-from rhot_calibration.hand.samples.samples import (
+from rhot_calibration.hand.samples import (
     FEWEST_FLAT,
     FEWEST_SAMPLES,
     FIND_PHASES,

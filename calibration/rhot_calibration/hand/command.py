@@ -20,7 +20,7 @@ from rhot.rig import BusConfig, HandFile, Rig, load_rig
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
 from rhot_calibration.hand.calibration import measure_hand, typed_hand
-from rhot_calibration.hand.samples.samples import (
+from rhot_calibration.hand.samples import (
     LIVE_PHASES,
     LIVE_S,
     Phases,

@@ -12,7 +12,7 @@ from rhot.rig import HandFile, load_rig
 from rhot.rig.calibration import today
 from rhot.rig.folder import HAND_FILE
 from rhot_calibration.hand.calibration import measure_hand, typed_hand
-from rhot_calibration.hand.samples.samples import LIVE_PHASES, LIVE_S, live_points, prompt_at
+from rhot_calibration.hand.samples import LIVE_PHASES, LIVE_S, live_points, prompt_at
 from rhot_calibration.page_step import PageStep, trial_buttons
 
 

@@ -120,10 +120,6 @@ class CameraRig:
     calibrated: bool = True
     quality: Any = None
 
-    def __getitem__(self, name: str) -> CameraModel:
-        """Return the model of a camera."""
-        return self.models[self.names.index(name)]
-
     def pairs(self) -> list[tuple[str, str]]:
         """Return every two cameras, by name."""
         return list(combinations(self.names, 2))

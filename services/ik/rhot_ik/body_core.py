@@ -18,7 +18,7 @@ from rhot.rig import Rig
 from rhot.types import Side, State
 from rhot_ik.legs.foot_track import LEAD_S, FootTrack, HipMotion
 from rhot_ik.legs.hips import OUTWARDS, Ankle, LegPose, bend_leg, hip_joint, hips_under_head, stride, within_reach
-from rhot_ik.trunk.upper_body import solve_upper_body
+from rhot_ik.legs.upper_body import solve_upper_body
 
 # How long a person really is from the neck to the ankles: learned from standing.
 #

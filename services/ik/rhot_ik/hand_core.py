@@ -28,10 +28,10 @@ from rhot.messages import (
 )
 from rhot.rig import IkConfig, MarkerConfig, Rig
 from rhot.types import Side
+from rhot_ik.hand.closed_form import FingerGeometry, base_marker
 from rhot_ik.hand.contact import Box, Cylinder, Hull, Shape, Sphere
 from rhot_ik.hand.filter.evidence import HandObservation
 from rhot_ik.hand.filter.process import ANGLES, POSITION, ROTATION, angle_covariance, rest_angles
-from rhot_ik.hand.fingers.closed_form import FingerGeometry, base_marker
 from rhot_ik.hand.fit_check import MISFIT_M, FitCheck, mean_residual_m, reflected_point
 from rhot_ik.hand.solver import HandSolver
 from rhot_ik.hand.track import HandSolution, HandTrack

@@ -8,7 +8,7 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.camera import CameraModel
 from rhot.rig import CameraConfig, HandFile, MarkerConfig
 from rhot.rig.cameras import camera_models
-from rhot_bench.measures.hands import START_NS, HandRun, against_truth, excess_steps_m, hand_figures
+from rhot_bench.hands.accuracy import START_NS, HandRun, against_truth, excess_steps_m, hand_figures
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.world.world import World
 

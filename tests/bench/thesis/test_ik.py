@@ -8,21 +8,22 @@ import pytest
 
 from rhot.anatomy.hand import HandModel
 from rhot.rig import HandFile
+from rhot.types import Vector3
 from rhot_bench.speed.cores import thesis_fingers
-from rhot_bench.thesis.hand import ROTOR_DEG, TOLERANCE_M, ThesisFinger, ThesisHand, Vector, solve_finger
+from rhot_bench.thesis.hand import ROTOR_DEG, TOLERANCE_M, ThesisFinger, ThesisHand, solve_finger
 
 MODEL = HandModel.from_file(HandFile(), "right")
 INDEX = thesis_fingers(MODEL)[1]
 
 
-def target_of(degrees: tuple[float, float, float, float]) -> Vector:
+def target_of(degrees: tuple[float, float, float, float]) -> Vector3:
     angles = np.zeros((5, 4))
     angles[1] = np.radians(degrees)
     x, y, z = MODEL.finger_chains(angles)[0][1, 3].tolist()
     return (x, y, z)
 
 
-def turns_deg(finger: ThesisFinger, points: list[Vector]) -> list[float]:
+def turns_deg(finger: ThesisFinger, points: list[Vector3]) -> list[float]:
     bones = np.diff(np.array(points), axis=0)
     bones /= np.linalg.norm(bones, axis=1, keepdims=True)
     axis = np.array(finger.axis)

@@ -16,7 +16,7 @@ from rhot.messages import PointSet
 from rhot.recording import load_recording, marker_track_frames
 from rhot.rig import HandFile, Rig
 from rhot_calibration.hand.calibration import measure_hand
-from rhot_calibration.hand.samples.samples import Phases, PoseWindow
+from rhot_calibration.hand.samples import Phases, PoseWindow
 from rhot_fusion.core import FusionCore
 
 SHORTEST_M, LONGEST_M = 0.165, 0.212

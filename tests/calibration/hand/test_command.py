@@ -15,7 +15,7 @@ from rhot.messages.codec import encode
 from rhot.recording.mcap.writer import McapWriter
 from rhot.rig import HandFile, load_rig, read_json_model
 from rhot_calibration.hand.command import hand
-from rhot_calibration.hand.samples.samples import stored_points
+from rhot_calibration.hand.samples import stored_points
 
 
 def run(*arguments: object) -> Result:

@@ -15,10 +15,9 @@ from rhot.calibration_step import StepContext
 from rhot.errors import BusError, CalibrationError, ConfigError
 from rhot.messages import PointSet
 from rhot.rig import BusConfig, load_rig
-from rhot_calibration.hand import page_step
+from rhot_calibration.hand import page_step, samples
 from rhot_calibration.hand.page_step import HandStep
-from rhot_calibration.hand.samples import samples
-from rhot_calibration.hand.samples.samples import LIVE_S, prompt_at
+from rhot_calibration.hand.samples import LIVE_S, prompt_at
 
 NOTHING = {"length_mm": "", "width_mm": ""}
 

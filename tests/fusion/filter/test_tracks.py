@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hands.pinholes import CAMERAS
 
+from rhot.types import Vector3
 from rhot_fusion.filter.systematic import Systematic
 from rhot_fusion.filter.tracks import CALIBRATED, outcome_of, within_hand
-from rhot_fusion.views.sightings import Upper, Vector
+from rhot_fusion.views.sightings import Upper
 
 EXTENT_M = 0.037
 LONG: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 0.08**2)
@@ -16,9 +17,9 @@ SHARP: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
 BOTH, ONE, NONE = [True, True], [True, False], [False, False]
 
 
-def published(shown: list[list[bool]]) -> tuple[list[Vector], list[Upper]]:
+def published(shown: list[list[bool]]) -> tuple[list[Vector3], list[Upper]]:
     """Return two markers 0.8 m away, and a third that is 1 m away for all that its filter knows."""
-    places: list[Vector] = [(0.05, 0.0, 0.79), (-0.05, 0.0, 0.81), (0.0, 0.0, 1.0)]
+    places: list[Vector3] = [(0.05, 0.0, 0.79), (-0.05, 0.0, 0.81), (0.0, 0.0, 1.0)]
     covariances = [SHARP, SHARP, LONG]
     within_hand(places, covariances, [0, 1, 2], shown, (0.0, 0.0, 0.0), EXTENT_M)
     return places, covariances
@@ -40,7 +41,7 @@ def test_off_the_axis_it_moves_along_its_ray() -> None:
     ray = sight / np.linalg.norm(sight)
     P = 0.08**2 * np.outer(ray, ray) + 1e-6 * np.eye(3)
     xx, xy, xz, yy, yz, zz = P[np.triu_indices(3)].tolist()
-    places: list[Vector] = [(0.25, -0.17, 0.75), (0.3, -0.2, 0.9)]
+    places: list[Vector3] = [(0.25, -0.17, 0.75), (0.3, -0.2, 0.9)]
     covariances: list[Upper] = [SHARP, (xx, xy, xz, yy, yz, zz)]
     within_hand(places, covariances, [0, 1], [BOTH, ONE], (0.0, 0.0, 0.0), EXTENT_M)
     moved = np.array(places[1]) - sight
@@ -57,7 +58,7 @@ def test_else_nothing_changes(shown: list[list[bool]]) -> None:
 
 def test_what_is_known_worse_than_a_finger_is_broad_is_not_measured() -> None:
     """Frames that tell little, or paint that is hidden, leave it uncertain; a calibration is as good as it is."""
-    places: list[Vector] = [(0.05 * k, 0.0, 0.8) for k in range(4)]
+    places: list[Vector3] = [(0.05 * k, 0.0, 0.8) for k in range(4)]
     wide: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 0.015**2)
     systematic = Systematic(CAMERAS, {"expected_error_mm": {"80 cm": {"calibration": 20.0}}}, 0.1, np.zeros(4))
     seen = [[True, True, True, True], [True, True, True, False]]

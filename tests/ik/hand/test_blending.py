@@ -5,8 +5,8 @@ import pytest
 
 from rhot.anatomy.hand import HandModel
 from rhot_ik.hand.blending import blended, with_own_motion
+from rhot_ik.hand.closed_form import FingerGeometry
 from rhot_ik.hand.filter.kinematics import HandKinematics
-from rhot_ik.hand.fingers.closed_form import FingerGeometry
 
 
 def test_a_finger_that_is_led_in_arrives_by_bounded_steps(right_hand: HandModel) -> None:

@@ -13,7 +13,7 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.rotations import rotation_from_vector
 from rhot.messages import HandPose, PointSet, decode, encode
 from rhot.rig import HandFile, IkConfig, Rig
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
+from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
 from rhot_ik.hand_core import HandCore
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_bench.measures.hands import survival
+from rhot_bench.hands.accuracy import survival
 from rhot_tools.measures.points import PointTrack, false_points, identity_swaps, jitter_m
 
 COUNT = 600

@@ -21,18 +21,17 @@ from rhot_capture.detection.result import Detection
 # What a colour calibration says on the terminal: a table per marker, the matrix of confusion, warnings, advice.
 
 
+def _new_table(title: str) -> Table:
+    return Table(
+        title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True, pad_edge=False
+    )
+
+
 def marker_table(
     result: ColorCalibration, titles: Sequence[str], detections: Sequence[Mapping[str, Detection]]
 ) -> Table:
     """Return what the tracker finds with the new colours, marker by marker."""
-    table = Table(
-        title="Colours found",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1),
-        collapse_padding=True,
-        pad_edge=False,
-    )
+    table = _new_table("Colours found")
     several = len(titles) > 1
     table.add_column("marker", no_wrap=True)
     if several:
@@ -71,16 +70,9 @@ def _nearest(apart: Separability, name: str) -> tuple[str, str, str, str]:
 
 def confusion_table(apart: Separability) -> Table:
     """Return the matrix of expected confusion; a row is what is there, a column what it is taken for."""
-    table = Table(
-        title="Taken for, % of pixels, in light 20 % brighter or darker",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1),
-        collapse_padding=True,
-        pad_edge=False,
-        caption="margin above: drift of the camera's red or blue gain until 5 % of the pixels change over",
-        caption_justify="left",
-    )
+    table = _new_table("Taken for, % of pixels, in light 20 % brighter or darker")
+    table.caption = "margin above: drift of the camera's red or blue gain until 5 % of the pixels change over"
+    table.caption_justify = "left"
     table.add_column("is")
     for name in apart.seen:
         table.add_column(name if name != BACKGROUND else "backgr.", justify="right", no_wrap=True)

@@ -36,7 +36,7 @@ from rhot_calibration.hand.fit.parameters import (
     TYPED_SD_M,
     HandParameters,
 )
-from rhot_calibration.hand.samples.samples import HandSamples
+from rhot_calibration.hand.samples import HandSamples
 from rhot_ik.hand.filter.patch_rotation import CORNER_ORDERS, MAX_ERROR_M
 
 # How the palm is turned, from the four corners of the patch on the back of the hand.

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 RIGHT_PX: Final = 1.0
 """Chosen: at 85 cm and with a baseline of 75 mm it causes a depth error of up to 19 mm if the other view is exact."""
 
-# Output of `python -m rhot_bench.detection.score_fit`, which also prints the reliability on other seeds.
+# Output of `python -m rhot_bench.score_fit`, which also prints the reliability on other seeds.
 BIAS: Final = 3.081
 WEIGHTS: Final = (4.327, 11.682, 5.145)
 

@@ -31,6 +31,7 @@ _STOP_S: Final = 0.06
 _MIN_ACCELERATION_M_S2: Final = 0.5
 """Bounds of the standard deviation of the acceleration."""
 _MAX_ACCELERATION_M_S2: Final = 25.0
+"""Upper bound of the standard deviation of the acceleration."""
 _SET_OFF_M_S2: Final = 20.0
 """Acceleration with which a standing foot sets off, one sigma. Gates allow for it at all times, the filter where an
 observation shows it, and what is called measured ends with it.
@@ -173,10 +174,8 @@ class KinematicModel:
             R, rate = orthonormal(rotation_from_vector(gain[0] * residual) @ R), rate + gain[1] * residual
             rotation_covariance = rotation_covariance - np.outer(gain, rotation_covariance[0])
         acceleration_sigma = state.acceleration_sigma * math.exp(
-            # How fast the standard deviation of the acceleration follows the NIS of the observations.
-            # Mean squared normalised innovation per axis below which it falls; above 1, so that noise
-            # alone calms.
-            # More than this per axis raises it no faster.
+            # The standard deviation of the acceleration follows the NIS per axis by a quarter. It falls below
+            # 1.25, above 1 so that noise alone calms; more than 5 raises it no faster.
             0.25 * (min(nis, 5.0) - 1.25)
         )
         return KinematicState(

@@ -33,7 +33,7 @@ from rhot_fusion.filter.tracks import (
     TrackStatus,
 )
 from rhot_fusion.schedule import FrameSchedule
-from rhot_fusion.views.sightings import HandCoherence, Sightings, TrackingLimits, Vector
+from rhot_fusion.views.sightings import HandCoherence, Sightings, TrackingLimits
 
 _DEPTH_MARKERS: Final = 1
 """Markers of a hand required to estimate its depth; in a grasp the patch is often the only one."""
@@ -157,7 +157,7 @@ class TrackedHand:
         """Return a frame's views of this hand; `alone` = it is the only hand of the rig."""
         return sightings if alone else sightings.chosen(np.isin(sightings.index, self.index))
 
-    def roots(self, places: Sequence[Vector], alive: Sequence[bool]) -> Sequence[Vector]:
+    def roots(self, places: Sequence[Vector3], alive: Sequence[bool]) -> Sequence[Vector3]:
         """Return the points (H,) beside the patch where its fingers begin, from marker positions (H,).
 
         Fingers bend in parallel planes, so the lateral direction from there to the tip does not depend on the bend.

@@ -16,9 +16,10 @@ import numpy as np
 
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
+from rhot.types import Vector3
 from rhot_fusion.filter.motion import MotionModel, motion_of
 from rhot_fusion.filter.state import ROUND, SHARED, FilterStep, Innovation, State, Views
-from rhot_fusion.views.sightings import Upper, Vector
+from rhot_fusion.views.sightings import Upper
 
 SCALES: Final = (0.01, 0.1, 0.5, 1.6, 5.0, 16.0)
 """Noise intensities that multiply the three strengths above: square roots of the acceleration's power spectral
@@ -69,7 +70,7 @@ class JointFilter:
         row, column = (3 * np.arange(count)[:, None] + one for one in np.triu_indices(3))
         self._own: IndexArray = row * size + column
         self._uppers: tuple[State | None, list[Upper], list[float]] = None, [], []
-        self._seen_from: tuple[State | None, CameraModel | None, list[Vector]] = None, None, []
+        self._seen_from: tuple[State | None, CameraModel | None, list[Vector3]] = None, None, []
         self.clear()
 
     def clear(self) -> None:
@@ -108,7 +109,7 @@ class JointFilter:
             self._uppers = state, own, spread_m2
         return own, spread_m2
 
-    def seen_from(self, camera: CameraModel) -> list[Vector]:
+    def seen_from(self, camera: CameraModel) -> list[Vector3]:
         """Return the markers' positions (M,) in a camera's frame, metres; cached for the current state."""
         state, viewer, seen = self._seen_from
         if state is not self.state or viewer is not camera:
@@ -123,7 +124,7 @@ class JointFilter:
         if not alive.any():
             x[-SHARED:], P[-SHARED:] = 0.0, 0.0
             P[:, -SHARED:] = 0.0
-            # First_m_s2, first_rad_s2: standard deviation of each component of the shared acceleration
+            # Standard deviation of each component of the shared acceleration
             # when a hand is first seen.
             first = np.repeat(np.square([5.0, 40.0]), 3)
             P[-SHARED:, -SHARED:] = np.diag(first)

@@ -24,8 +24,9 @@ import numpy as np
 from rhot.anatomy.hand import CAP_LENGTH_M
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
+from rhot.types import Vector3
 from rhot_fusion.filter.visible_side import FIRST_BEND, MOST_BEND, SkinSides, VisibleArea, visible_side
-from rhot_fusion.views.sightings import Vector, vector
+from rhot_fusion.views.sightings import vector
 
 _COMPARE_S: Final = 0.1
 """Areas observed further apart in time are not compared, seconds."""
@@ -156,7 +157,7 @@ class Paint:
         self._focal_px = [float(camera.K[0, 0]) for camera in cameras]
         middle = np.stack([camera.center for camera in cameras]).mean(axis=0)
         # Centroid of the cameras in each camera's frame, and the direction away from it in the image.
-        self._middle: list[Vector] = [vector(camera.to_camera(middle[None])[0]) for camera in cameras]
+        self._middle: list[Vector3] = [vector(camera.to_camera(middle[None])[0]) for camera in cameras]
         self._away: FloatArray = np.array([[-x, -y] for x, y, _ in self._middle])
         self._away /= np.maximum(np.hypot(*self._away.T), 1e-9)[:, None]
         self._cameras = range(len(cameras))
@@ -187,8 +188,8 @@ class Paint:
         camera: int,
         markers: Sequence[int],
         areas_px: Sequence[float],
-        tips: Sequence[Vector],
-        bases: Sequence[Vector],
+        tips: Sequence[Vector3],
+        bases: Sequence[Vector3],
         reaches_m: Sequence[float],
     ) -> list[tuple[float, float]]:
         """Return the visible-side correction of a camera's views (N,) of fingertips, normalised units.
@@ -218,7 +219,7 @@ class Paint:
             shifts.append((size * (x - tip[0] / depth * z) / depth, size * (y - tip[1] / depth * z) / depth))
         return shifts
 
-    def _extension(self, tip: Vector, base: Vector, reach_m: float) -> float:
+    def _extension(self, tip: Vector3, base: Vector3, reach_m: float) -> float:
         """Return the weight, 0 to 1, of the direction from knuckle to tip as the direction of the finger's end."""
         if reach_m <= 0.0:
             return 1.0

@@ -16,8 +16,9 @@ import numpy as np
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
 from rhot.quality import figure
+from rhot.types import Vector3
 from rhot_fusion.filter.state import Innovation
-from rhot_fusion.views.sightings import Upper, Vector, interpolated, vector
+from rhot_fusion.views.sightings import Upper, interpolated, vector
 
 CALIBRATION_DOUBT: Final = 1.6
 """Factor applied to the stated calibration error: it is stated for the image centre and is three times as large near
@@ -68,11 +69,11 @@ class Systematic:
         self._around = CALIBRATION_DOUBT**2 * _ACROSS
         self._shape2: list[float] = np.square(_SHAPE * radius_m).tolist()
 
-    def distance_m(self, position: Vector) -> float:
+    def distance_m(self, position: Vector3) -> float:
         """Return the distance of a position from the centroid of the cameras, metres."""
         return math.dist(position, self._middle)
 
-    def covariance(self, marker: int, position: Vector) -> Upper:
+    def covariance(self, marker: int, position: Vector3) -> Upper:
         """Return the error covariance (xx, xy, xz, yy, yz, zz), m², of a marker at a position, metres."""
         (x, y, z), (middle_x, middle_y, middle_z) = position, self._middle
         x, y, z = x - middle_x, y - middle_y, z - middle_z
@@ -128,12 +129,10 @@ class CameraNoise:
         # Shorter baselines give no depth, or are one camera that was entered twice.
         self._baseline_m = max(1e-3, *(math.dist(a.center, b.center) for a, b in combinations(cameras, 2)))
         self.calibration_px = calibration_px
-        # Pixel noise of a rig without `cameras.json`, not counting errors of its time stamps.
-        # Initial standard deviation of a pixel coordinate; centroids of painted tips in photo-real pictures
-        # have errors of 0.2 to 0.3 px.
+        # Initial standard deviation of a pixel coordinate: centroids of painted tips in photo-real pictures have
+        # errors of 0.2 to 0.3 px. Without `cameras.json` a pixel, not counting errors of time stamps.
         first = 0.3 if calibrated else 1.0
-        # Least_px, most_px: bounds of the estimated standard deviation, pixels.
-        # Lower bound of the estimate for such a rig, pixels: its coordinates are whole pixels, or its lens
+        # Bounds of the estimate, pixels. Without `cameras.json`, coordinates are whole pixels, or the lens's
         # distortion is unknown.
         least = 0.05 if calibrated else 0.3
         self._bounds_px2 = least**2, 2.0**2 if calibrated else math.inf

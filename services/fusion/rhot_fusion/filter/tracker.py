@@ -258,7 +258,7 @@ class FilterTracker:
     def _fresh_s(self) -> list[float]:
         """Return for how long each camera's newest frame (C,) is fresh, seconds."""
         return [
-            # Fresh_periods, fresh_s: a camera counts as seeing a marker while its last observation is no
+            # A camera counts as seeing a marker while its last observation is no
             # older than the longer of these, frame periods and seconds.
             max(1.5 * self._schedule.period_s(camera), 0.04)
             for camera in range(len(self._cameras))

@@ -15,9 +15,9 @@ from typing import Final
 
 import numpy as np
 
-from rhot.types import PointState
+from rhot.types import PointState, Vector3
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.views.sightings import Outcome, Upper, Vector, unit
+from rhot_fusion.views.sightings import Outcome, Upper, unit
 
 GATE: Final = 25.0
 """Squared Mahalanobis distance (2 degrees of freedom) beyond which an observation is rejected; exceeded by chance once
@@ -84,7 +84,9 @@ class TrackSettings:
 
 
 CALIBRATED: Final = TrackSettings()
-UNCALIBRATED: Final = TrackSettings(6, 0.08, math.inf, math.inf)
+UNCALIBRATED: Final = TrackSettings(
+    confirmations=6, measured_m=0.08, inflation_gate=math.inf, reacquisition_gate=math.inf
+)
 
 
 @dataclass(slots=True)
@@ -151,11 +153,11 @@ class Track:
 
 
 def within_hand(
-    position: list[Vector],
+    position: list[Vector3],
     covariance: list[Upper],
     markers: Sequence[int],
     shown: Sequence[Sequence[bool]],
-    eye: Vector,
+    eye: Vector3,
     extent_m: float,
 ) -> None:
     """Constrain the depth of markers seen by one camera with the hand's markers seen by two.
@@ -199,7 +201,7 @@ def state_of(views: int, certain: bool) -> PointState:
 
 def outcome_of(
     t_s: float,
-    position: Sequence[Vector],
+    position: Sequence[Vector3],
     covariance: Sequence[Upper],
     seen: list[list[bool]],
     systematic: Systematic,

@@ -29,7 +29,8 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel
-from rhot_fusion.views.sightings import Vector, across, dot, interpolated, unit, vector
+from rhot.types import Vector3
+from rhot_fusion.views.sightings import across, dot, interpolated, unit, vector
 
 FIRST_BEND: Final = -0.45
 """C of a relaxed finger, bent away from the camera by a quarter of a right angle or a little more."""
@@ -38,6 +39,7 @@ MOST_BEND: Final = -0.7
 within 0.1 mm on rendered pictures and two simulated hands.
 """
 _SKIN_LASTS_S: Final = 0.1
+"""How long a direction to adjoining skin is used, seconds."""
 _LEAST_SKIN: Final = 0.1
 """Shortest mean vector to adjoining skin that is used: half of that of a straight finger, whose skin adjoins along 70
 to 90 degrees. Between 0.1 and 0.15 the errors are the same.
@@ -83,7 +85,7 @@ class SkinSides:
 
     def __init__(self, cameras: Sequence[CameraModel], markers: int) -> None:
         # Rows of each camera's rotation: its axes in the rig frame.
-        self._axes: list[list[Vector]] = [[vector(row) for row in camera.R_camera_rig] for camera in cameras]
+        self._axes: list[list[Vector3]] = [[vector(row) for row in camera.R_camera_rig] for camera in cameras]
         self._seen: list[list[tuple[float, float, float, float] | None]] = [
             [None] * len(self._axes) for _ in range(markers)
         ]
@@ -110,15 +112,14 @@ class SkinSides:
             cameras = self._seen[marker]
             before = cameras[camera]
             if before is not None and 0.0 <= t_s - before[0] < _SKIN_LASTS_S:
-                # Skin_s, skin_lasts_s: time constant with which the direction to adjoining skin is
-                # averaged, and for how long it is used, seconds. Between 0 and 0.08 the errors are
-                # the same.
+                # Time constant of the mean direction to adjoining skin, seconds. Between 0 and 0.08 the
+                # errors are the same.
                 keep = math.exp((before[0] - t_s) / 0.04)
                 _, old_x, old_y, old_z = before
                 x, y, z = x + keep * (old_x - x), y + keep * (old_y - y), z + keep * (old_z - z)
             cameras[camera] = t_s, x, y, z
 
-    def direction(self, camera: int, marker: int, t_s: float) -> Vector | None:
+    def direction(self, camera: int, marker: int, t_s: float) -> Vector3 | None:
         """Return the direction of the finger in a camera's frame, away from the skin, as a unit vector.
 
         It is the mean over all cameras that saw the marker shortly before or at a time, which makes it the same for
@@ -137,8 +138,8 @@ class SkinSides:
 
 
 def visible_side(
-    finger: Sequence[tuple[float, Vector]], tip: Vector, middle: Vector, c: float, area: VisibleArea
-) -> tuple[float, Vector, float]:
+    finger: Sequence[tuple[float, Vector3]], tip: Vector3, middle: Vector3, c: float, area: VisibleArea
+) -> tuple[float, Vector3, float]:
     """Return bend and direction of a finger in one camera, and how much of it this camera sees.
 
     Args:

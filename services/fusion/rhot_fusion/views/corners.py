@@ -19,7 +19,7 @@ import numpy as np
 from rhot.anatomy.markers import PaintedMarker
 from rhot.geometry.camera import CameraModel
 from rhot.types import Pixels, Vector3
-from rhot_fusion.views.sightings import Vector, dot, vector
+from rhot_fusion.views.sightings import dot, vector
 
 Corners = tuple[Vector3, Vector3, Vector3, Vector3]
 
@@ -53,10 +53,10 @@ class _View:
         right, down: the x and y axes of its image.
     """
 
-    center: Vector
-    axis: Vector
-    right: Vector
-    down: Vector
+    center: Vector3
+    axis: Vector3
+    right: Vector3
+    down: Vector3
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class _Observation:
     """
 
     t_s: float
-    rays: list[Vector]
+    rays: list[Vector3]
 
 
 class PatchCorners:
@@ -114,7 +114,7 @@ class PatchCorners:
         rays = [(x * a + y * d, x * b + y * e, x * c + y * f) for x, y in offsets]
         self._observed[name, camera] = _Observation(t_s, rays)
 
-    def solve(self, name: str, cameras: Sequence[int], position: Vector, t_s: float) -> Corners | None:
+    def solve(self, name: str, cameras: Sequence[int], position: Vector3, t_s: float) -> Corners | None:
         """Return a patch's corners, metres, rig frame, in cyclic order, or None where no shift fits.
 
         Args:
@@ -151,7 +151,7 @@ class PatchCorners:
         self._observed.clear()
         self._shift.clear()
 
-    def _fits(self, name: str, quad: Sequence[Vector]) -> bool:
+    def _fits(self, name: str, quad: Sequence[Vector3]) -> bool:
         """Return whether the sides of a quad have the patch's size, in either order."""
         p, q, r, s = (math.dist(quad[corner - 1], quad[corner]) for corner in (1, 2, 3, 0))
         width, length = self._sizes[name]
@@ -162,7 +162,7 @@ class PatchCorners:
         return False
 
 
-def _rays(view: _View, position: Vector, offsets: Sequence[Vector]) -> list[Vector]:
+def _rays(view: _View, position: Vector3, offsets: Sequence[Vector3]) -> list[Vector3]:
     """Return a camera's ray to a position, at depth 1, plus each of the offsets."""
     x, y, z = position[0] - view.center[0], position[1] - view.center[1], position[2] - view.center[2]
     depth = max(dot((x, y, z), view.axis), 1e-3)
@@ -170,7 +170,9 @@ def _rays(view: _View, position: Vector, offsets: Sequence[Vector]) -> list[Vect
     return [(x + i, y + j, z + k) for i, j, k in offsets]
 
 
-def _intersect(a: Vector, first: Sequence[Vector], b: Vector, second: Sequence[Vector]) -> tuple[list[Vector], float]:
+def _intersect(
+    a: Vector3, first: Sequence[Vector3], b: Vector3, second: Sequence[Vector3]
+) -> tuple[list[Vector3], float]:
     """Return the points nearest to pairs of rays from a and b, metres, and the largest distance between two rays.
 
     Midpoint method (Hartley and Sturm, "Triangulation", 1997, section 3.1): for the shape of a patch as good as least
@@ -178,7 +180,7 @@ def _intersect(a: Vector, first: Sequence[Vector], b: Vector, second: Sequence[V
     """
     (ax, ay, az), (bx, by, bz) = a, b
     wx, wy, wz = bx - ax, by - ay, bz - az
-    points: list[Vector] = []
+    points: list[Vector3] = []
     largest2 = 0.0
     for (dx, dy, dz), (ex, ey, ez) in zip(first, second, strict=True):
         dd, ee, de = dx * dx + dy * dy + dz * dz, ex * ex + ey * ey + ez * ez, dx * ex + dy * ey + dz * ez
@@ -193,12 +195,12 @@ def _intersect(a: Vector, first: Sequence[Vector], b: Vector, second: Sequence[V
     return points, math.sqrt(largest2)
 
 
-def _centered(quad: Sequence[Vector], position: Vector) -> Corners:
+def _centered(quad: Sequence[Vector3], position: Vector3) -> Corners:
     """Return a quad translated so that its centroid is at a position."""
     a, b, c, d = quad
     x, y, z = (middle - 0.25 * (p + q + r + s) for middle, p, q, r, s in zip(position, a, b, c, d, strict=True))
     return _translated(a, x, y, z), _translated(b, x, y, z), _translated(c, x, y, z), _translated(d, x, y, z)
 
 
-def _translated(corner: Vector, x: float, y: float, z: float) -> Vector:
+def _translated(corner: Vector3, x: float, y: float, z: float) -> Vector3:
     return corner[0] + x, corner[1] + y, corner[2] + z

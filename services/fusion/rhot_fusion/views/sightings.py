@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.markers import PaintedMarker
 from rhot.arrays import BoolArray, FloatArray, IndexArray
-from rhot.types import PointState
+from rhot.types import PointState, Vector3
 from rhot_fusion.views.epipolar import EpipolarModel
 
 # Gate points by their distance from the other markers of the same hand.
@@ -60,27 +60,25 @@ class HandCoherence:
 
 # Vector algebra on plain floats, for arrays too small for numpy to be faster.
 
-Vector = tuple[float, float, float]
 
-
-def vector(values: NDArray[np.float64]) -> Vector:
+def vector(values: NDArray[np.float64]) -> Vector3:
     """Return an array (3,) as a tuple."""
     x, y, z = values.tolist()
     return x, y, z
 
 
-def dot(a: Vector, b: Vector) -> float:
+def dot(a: Vector3, b: Vector3) -> float:
     """Return a·b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def across(a: Vector, unit: Vector) -> Vector:
+def across(a: Vector3, unit: Vector3) -> Vector3:
     """Return the component of a vector perpendicular to a unit vector."""
     along = dot(a, unit)
     return a[0] - along * unit[0], a[1] - along * unit[1], a[2] - along * unit[2]
 
 
-def unit(a: Vector) -> Vector:
+def unit(a: Vector3) -> Vector3:
     """Return the unit vector in the direction of a; shorter if a is shorter than 1e-6."""
     scale = 1.0 / max(math.sqrt(dot(a, a)), 1e-6)
     return scale * a[0], scale * a[1], scale * a[2]
@@ -100,7 +98,7 @@ def interpolated(x: float, known: Sequence[float], values: Sequence[float]) -> f
 CountArray = NDArray[np.int64]
 Upper = tuple[float, float, float, float, float, float]
 """xx, xy, xz, yy, yz and zz of a covariance."""
-NOWHERE: Vector = (math.nan, math.nan, math.nan)
+NOWHERE: Vector3 = (math.nan, math.nan, math.nan)
 NOTHING: Upper = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Position and covariance of an absent marker."""
 
@@ -162,7 +160,7 @@ class Outcome:
     """
 
     t_s: float
-    position: Sequence[Vector]
+    position: Sequence[Vector3]
     sigma_m: list[float]
     views: list[int]
     measured: list[bool]
@@ -175,7 +173,7 @@ class TrackingLimits(Protocol):
     """What a user sets of the tracking of points; `rhot.rig.FusionConfig` is one."""
 
     @property
-    def volume_m(self) -> tuple[Vector, Vector]:
+    def volume_m(self) -> tuple[Vector3, Vector3]:
         """Lowest and highest corner of the space where hands can be, rig frame."""
         ...
 

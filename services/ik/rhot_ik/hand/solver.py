@@ -15,13 +15,13 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.plugins import load_plugin
 from rhot_ik.hand.blending import blended, with_own_motion
+from rhot_ik.hand.closed_form import FingerGeometry, marker_on_palm
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.process import ERROR_LASTS_S, HandState
 from rhot_ik.hand.filter.smoother import smoothed_states
-from rhot_ik.hand.fingers.closed_form import FingerGeometry, marker_on_palm
 from rhot_ik.hand.track import HandSolution, HandTrack
 
 _SETTLES_S: Final = 0.025
@@ -413,9 +413,8 @@ class HandSolver:
         # Fewer tips than have agreed with the state do not reinitialise it: a few tips leave a patch ambiguous.
         if measured < before.most_tips:
             return state, before.lost_s
-        # The same limit while the corners of no patch have confirmed the palm.
-        # When the seen tips miss the model by more than this on average for this long, the hand is looked for
-        # again: more than wrong proportions explain, for longer than a wild marker lasts.
+        # When the seen tips miss the model by more than this on average for `_LOST_S`, the hand is looked for again:
+        # more than wrong proportions explain; half of it while no patch's corners have confirmed the palm.
         limit_m = 0.012 if before.from_patch else 0.006
         if state.mean_residual_m < limit_m:
             return state, 0.0

@@ -192,7 +192,7 @@ def within_reach(T_rig_hips: FloatArray, ankles: Mapping[Side, Ankle], body: Bod
             # Share of a leg's length that the hips may be away from its ankle: 9° of flexion are left to
             # the knee.
             # How far a foot that is trusted by half may be out of reach before it pulls the hips. Chosen:
-            # `pendulum_m` of `FootTrackSettings`, the error of such a foot.
+            # the error of the pendulum by which such a foot swings.
             over = reach - 0.997 * body.leg_m - doubt * 0.1
             if over > 0.0:
                 position -= line * (over / reach)

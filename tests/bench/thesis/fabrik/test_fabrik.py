@@ -11,8 +11,8 @@ from rhot.anatomy.hand import HandModel
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.rig import HandFile
-from rhot_bench.thesis.fabrik.finger_chains import FLEXION, Chains, FabrikFingers, finger_chains, solve
-from rhot_ik.hand.fingers.closed_form import FingerGeometry
+from rhot_bench.thesis.fabrik import FLEXION, Chains, FabrikFingers, finger_chains, solve
+from rhot_ik.hand.closed_form import FingerGeometry
 
 
 def leg() -> Chains:

@@ -10,11 +10,11 @@ from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.messages import Side
 from rhot.rig import HandFile
+from rhot_ik.hand.closed_form import FingerGeometry
 from rhot_ik.hand.contact import Sphere
 from rhot_ik.hand.filter.evidence import CornerNoise, Evidence
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.process import ANGLES, HandState, angle_covariance, closed_angles, hidden_angles, rest_angles
-from rhot_ik.hand.fingers.closed_form import FingerGeometry
 
 KNOWN = np.zeros(6, dtype=np.bool_)
 BASE_OFFSET = np.array([0.0, 0.014, -0.025])

@@ -8,10 +8,10 @@ from rhot.anatomy.hand import HandModel, patch_outline
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.rig import HandFile, IkConfig, MarkerConfig
+from rhot_ik.hand.closed_form import FingerGeometry
 from rhot_ik.hand.filter.evidence import EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.process import closed_angles, rest_angles
-from rhot_ik.hand.fingers.closed_form import FingerGeometry
 from rhot_ik.hand.solver import HandInitialiser, HandSolver
 
 P_TRUE = np.array([0.02, 0.05, 0.8])

@@ -8,8 +8,8 @@ from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
+from rhot_ik.hand.closed_form import FingerGeometry
 from rhot_ik.hand.filter.kinematics import HandKinematics
-from rhot_ik.hand.fingers.closed_form import FingerGeometry
 
 
 def geometry_of(side: Side) -> FingerGeometry:

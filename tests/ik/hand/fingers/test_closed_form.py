@@ -12,7 +12,7 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import FloatArray
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
+from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
 
 
 def geometry_of(side: Side, **hand: object) -> FingerGeometry:

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import ImageArray
+from rhot.types import Vector3
 
 # Spectral unmixing of paint and surroundings: the algebra of `subpixel.centers`, on sums over pixels.
 #
 # Uses plain floats: for a few 3x3 systems numpy's call overhead dominates. This must save at least a tenth of a frame's
 # time to be worth keeping; `rhot bench --part capture` measures it.
 
-Vector = tuple[float, float, float]
 Line = tuple[float, float, float, float]
 
 # How these were chosen is not recorded; tests/capture/test_simulated_accuracy.py limits the resulting error.
@@ -76,7 +76,7 @@ def _projection(
 
 def fitted_levels(
     lines: Sequence[Line], moments: CoverageArray, products: CoverageArray, squares: CoverageArray
-) -> tuple[list[Vector], list[bool]]:
+) -> tuple[list[Vector3], list[bool]]:
     """Return the least squares planes of t, and whether those of the pure paint fit badly.
 
     Args:
@@ -103,12 +103,12 @@ def fitted_levels(
     return outside + inside, misfits
 
 
-def _plane(sums: Sequence[float], products: Sequence[float]) -> Vector:
+def _plane(sums: Sequence[float], products: Sequence[float]) -> Vector3:
     n, x, y, xx, xy, yy = sums
     return _solved((n + TINY, x, y), (xx + RIDGE, xy, yy + RIDGE), products)
 
 
-def _solved(first: Vector, rest: Vector, right: Sequence[float]) -> Vector:
+def _solved(first: Vector3, rest: Vector3, right: Sequence[float]) -> Vector3:
     """Return the solution of a symmetric 3x3 system.
 
     Args:

@@ -26,6 +26,7 @@ from rhot.anatomy.hand import MOVING, HandModel
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.covariances import inverse_covariance, squared_distance, squared_distances
 from rhot.geometry.rotations import cross_matrix, rotation_from_vector, vector_from_rotation
+from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
 from rhot_ik.hand.contact import Shape
 from rhot_ik.hand.filter.evidence import Evidence, Rows, mean_residual_m, measurement_rows
 from rhot_ik.hand.filter.kinematics import HandKinematics
@@ -45,7 +46,6 @@ from rhot_ik.hand.filter.process import (
     HandProcess,
     HandState,
 )
-from rhot_ik.hand.fingers.closed_form import AnalyticFingers, FingerGeometry
 
 _MOST_ACTIVITY: Final = 30.0
 """Fingers that move faster than they usually do get up to this many times their diffusion. A finger turns at most at

@@ -16,7 +16,7 @@ import numpy as np
 from rhot.anatomy.hand import METACARPALS, MOVING, PALM, WRIST
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
-from rhot_ik.hand.fingers.closed_form import FingerGeometry
+from rhot_ik.hand.closed_form import FingerGeometry
 
 _Z: Final = (0, 1, 2)
 _Y: Final = (3, 4, 5)

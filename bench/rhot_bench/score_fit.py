@@ -1,6 +1,6 @@
 """Fit the score of a detection to simulated pictures, and tell on other seeds whether it means what it says.
 
-    python -m rhot_bench.detection.score_fit [--bursts 40]
+    python -m rhot_bench.score_fit [--bursts 40]
 
 Prints the two constants of `rhot_capture.detection.score` and a table of reliability: of the detections with a score in
 each range, the share that is right, and the expected calibration error (the mean of |score − share right| over the

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot_ik.hand.fingers.closed_form import FingerGeometry
+from rhot_ik.hand.closed_form import FingerGeometry
 
 # Chains of limited joints, many of the same build at once.
 #
@@ -99,7 +99,7 @@ def joint_rotations(angles: FloatArray) -> FloatArray:
 #
 # Joint limits can stall these passes short of a target that is in reach, and coupled hinges slow them down. Chains that
 # no longer gain are therefore finished by damped least squares on the angles that are not held at a limit
-# (`rhot_bench.thesis.fabrik.finger_chains`); the nearest pose seen is returned.
+# (`rhot_bench.thesis.fabrik`); the nearest pose seen is returned.
 #
 # Source: Aristidou & Lasenby, "FABRIK: a fast, iterative solver for the inverse kinematics problem", Graphical Models
 # 73, 2011; limits as in Aristidou, Chrysanthou & Lasenby, "Extending FABRIK with model constraints", 2016.

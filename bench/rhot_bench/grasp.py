@@ -31,7 +31,7 @@ from rhot.recording import load_recording
 from rhot.report.svg import line_plot
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import write_text_atomic
-from rhot_bench.measures.hands import START_NS
+from rhot_bench.hands.accuracy import START_NS
 from rhot_bench.pictures.rendered import at_rate_of, found_markers, prepare_rig, require_pictures
 from rhot_bench.speed.simulated import world_of
 from rhot_bench.tracking.tracking import scene_frames, simulated_rig

@@ -9,7 +9,7 @@ from rhot.anatomy.body_proportions import SPINE_SHARES, BodyModel
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rigid, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from rhot.rig import BodyConfig
-from rhot_ik.trunk.upper_body import spine
+from rhot_ik.legs.upper_body import spine
 
 BODY = BodyModel.from_config(BodyConfig(height_m=1.8))
 HIPS = rigid(np.eye(3), np.array([0.2, 0.95, -0.1]))

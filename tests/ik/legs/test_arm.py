@@ -8,7 +8,7 @@ import pytest
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import rigid
 from rhot.messages import Side
-from rhot_ik.trunk.upper_body import LONGEST, hand_axes, solve_arm
+from rhot_ik.legs.upper_body import LONGEST, hand_axes, solve_arm
 
 SIDES: tuple[Side, Side] = ("left", "right")
 OUT = {"left": -1.0, "right": 1.0}

@@ -1,1 +1,0 @@
-"""Fitting the score of detections."""

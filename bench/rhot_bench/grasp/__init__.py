@@ -1,1 +1,0 @@
-"""How well a hand takes hold of an object: phase by phase, as figures."""

@@ -1,1 +1,0 @@
-"""FABRIK with joint limits."""

@@ -1,1 +1,0 @@
-"""What a calibration keeps of the points of a hand, and where these come from."""

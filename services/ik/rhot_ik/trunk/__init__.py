@@ -1,1 +1,0 @@
-"""The body above the hips: spine, neck, head and arms."""
