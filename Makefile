@@ -9,12 +9,13 @@ READY := $(VENV)/.ready
 # Without compiled modules every process that a test starts, and every worker, would compile all of them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help sim foreign test faults lint web page holder worlds format clean
+.PHONY: help sim foreign test faults stacks lint web page holder worlds format clean
 
 help:
 	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
 	@echo "make test     set up, then lint, types, layers and all tests"
 	@echo "make faults   the long rounds that make test leaves out: kills, partitions, clocks, systemd (ROUNDS=1: minutes; $(ROUNDS): hours)"
+	@echo "make stacks   drivers and files on the software they were written for: kernels, SDKs, engines (STACKS=\"v4l2 arm64\": only these)"
 	@echo "make foreign  programs of others that tests hand our output to (make test calls it)"
 	@echo "make lint     only lint, types and layers"
 	@echo "make web      build the page Grasp (node and npm); sim and test do it where these are there"
@@ -103,8 +104,12 @@ WORKERS := $(shell expr $$(nproc || getconf _NPROCESSORS_ONLN) + 1)
 # What is judged by the clock wants both cores to itself; everything else shares them.
 test:
 	@$(MAKE) --no-print-directory --jobs 3 foreign page lint
-	@$(BIN)/pytest --numprocesses $(WORKERS) --dist loadgroup -m "not faults and not (integration and real_time)" -rs
-	@$(BIN)/pytest -m "integration and real_time and not faults" -rs $(REAL_TIME)
+	@$(BIN)/pytest --numprocesses $(WORKERS) --dist loadgroup -m "not faults and not stacks and not (integration and real_time)" -rs
+	@$(BIN)/pytest -m "integration and real_time and not faults and not stacks" -rs $(REAL_TIME)
+
+# As root on Debian it installs what is missing; emulated machines are kept in .stacks (2.5 GB).
+stacks: $(READY)
+	@$(BIN)/python tests/stacks/run.py $(STACKS)
 
 faults: $(READY) page
 	@RHOT_FAULTS_ROUNDS=$(ROUNDS) $(BIN)/pytest -m faults -rs
@@ -121,4 +126,4 @@ format: $(READY)
 	@$(BIN)/ruff check --fix
 
 clean:
-	rm -rf web/node_modules services/viewer/rhot_viewer/static .foreign $(VENV) .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
+	rm -rf web/node_modules services/viewer/rhot_viewer/static .foreign .stacks $(VENV) .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache

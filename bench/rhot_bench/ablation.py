@@ -23,6 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import click
+import cv2
 import numpy as np
 from rich.console import Console
 
@@ -193,7 +194,7 @@ def run_variant(task: Task) -> tuple[str, dict[str, float]]:
     try:
         with changed(task.change):
             worlds = _worlds(task.sources)
-    except (np.linalg.LinAlgError, ArithmeticError, ValueError):
+    except (np.linalg.LinAlgError, ArithmeticError, ValueError, IndexError, cv2.error):
         return task.name, {}
     names = dict.fromkeys(name for world in worlds for name in world)
     return task.name, {name: float(np.nanmean([w[name] for w in worlds if name in w])) for name in names}

@@ -162,14 +162,14 @@ def test_the_image_is_built_from_this_checkout(compose: dict[str, Any], reposito
 
 
 def test_everything_that_is_copied_exists(dockerfile: list[list[str]], repository: Path) -> None:
-    ignored = (repository / "deploy/Dockerfile.dockerignore").read_text(encoding="utf-8").split()
+    ignored = (repository / ".dockerignore").read_text(encoding="utf-8").split()
     sources = [
         source for words in dockerfile if words[0] == "COPY" and "--from=build" not in words for source in words[1:-1]
     ]
     assert {"pyproject.toml", "common", "services"} <= set(sources)
     for source in sources:
         assert (repository / source).exists(), source
-        assert f"!{source}" in ignored, f"{source} is kept from the builder by Dockerfile.dockerignore"
+        assert f"!{source}" in ignored, f"{source} is kept from the builder by .dockerignore"
     project = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert {project["readme"], *project["license-files"]} <= set(sources), "the build needs these"
 

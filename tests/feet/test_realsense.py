@@ -121,7 +121,7 @@ class Sdk:
             enable_stream=lambda *values: self.streams.append(values),
         )
 
-    def pipeline(self) -> SimpleNamespace:
+    def pipeline(self, context: Any) -> SimpleNamespace:
         return SimpleNamespace(start=self._start, stop=self._stop, try_wait_for_frames=self._wait)
 
     def _start(self, config: Any) -> Any:
@@ -240,6 +240,15 @@ def test_the_right_one_of_several() -> None:
         opened(Sdk(Info("123")), clock, serial="789")
     sdk = Sdk(Info("123"), Info("456"))
     opened(sdk, clock, serial="456")
+    assert sdk.calls == ["device 456"]
+
+
+def test_a_camera_without_a_serial_number_is_passed_over() -> None:
+    """One whose firmware is being repaired says its name and nothing else."""
+    repaired = Info("")
+    del repaired.values["serial_number"]
+    sdk = Sdk(repaired, Info("456"))
+    opened(sdk, Clock())
     assert sdk.calls == ["device 456"]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from devices.fake_picamera2 import PI_CONTROLS
 
 from rhot.errors import ConfigError, DeviceError
 from rhot.rig import CameraConfig
@@ -74,7 +75,8 @@ class FakePicamera2:
     def __init__(self, number: int) -> None:
         self.number = number
         self.sensor_modes = MODES
-        self.camera_controls = {
+        self.camera_controls: dict[str, Any] = {
+            **dict.fromkeys(PI_CONTROLS),
             "LensPosition": (0.0, 15.0, 1.0),
             "Saturation": (0.0, 32.0, 1.0),
             "Contrast": (0.0, 32.0, 1.0),
@@ -324,7 +326,13 @@ def test_missing_picamera2_says_how_to_install_it() -> None:
     ],
 )
 def test_the_widest_mode_that_is_fast_enough(camera: CameraConfig, size: tuple[int, int]) -> None:
-    assert choose_mode(MODES, camera, "left")["size"] == size
+    mode = choose_mode(MODES, camera, "left")
+    assert mode is not None
+    assert mode["size"] == size
+
+
+def test_a_camera_that_lists_formats_instead_of_modes_leaves_no_choice() -> None:
+    assert choose_mode([{"format": "BGR888"}], CameraConfig(), "left") is None
 
 
 def test_no_mode_is_fast_enough() -> None:

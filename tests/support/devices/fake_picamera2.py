@@ -36,6 +36,13 @@ CONTROLS = SimpleNamespace(
 )
 
 
+PI_CONTROLS = (
+    *("AeEnable", "AwbEnable", "ColourGains", "ExposureTime", "AnalogueGain", "FrameDurationLimits"),
+    *("NoiseReductionMode", "SyncMode", "AfMode"),
+)
+"""What every camera of a Pi offers beside picture and focus (libcamera's Raspberry Pi pipeline)."""
+
+
 class Job:
     """`picamera2.job.Job`."""
 
@@ -99,6 +106,7 @@ class FakePicamera2:
         self.number = number
         self.sensor_modes = MODES
         self.camera_controls: dict[str, Any] = {
+            **dict.fromkeys(PI_CONTROLS),
             "Saturation": (0.0, 32.0, 1.0),
             "Contrast": (0.0, 32.0, 1.0),
             "Brightness": (-1.0, 1.0, 0.0),

@@ -26,7 +26,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from rhot_capture.sources.v4l2.controls import IDENTIFIERS, VIDIOC_QUERYCTRL, V4l2QueryControl
+from rhot_capture.sources.v4l2.controls import IDENTIFIERS, VIDIOC_QUERYCTRL, V4l2Control, V4l2QueryControl
 from rhot_capture.sources.v4l2.source import START_OF_EXPOSURE, VIDIOC_QUERYBUF, BufferQuery, V4l2Buffer
 
 _NAMES: Final = (
@@ -194,12 +194,13 @@ class FakeV4l2:
 
     # The kernel
 
-    def _ioctl(self, handle: int, request: int, buffer: V4l2Buffer | V4l2QueryControl) -> None:
+    def _ioctl(self, handle: int, request: int, buffer: V4l2Buffer | V4l2Control | V4l2QueryControl) -> None:
         if isinstance(buffer, V4l2QueryControl):
             assert request == VIDIOC_QUERYCTRL
             self._query_control(buffer)
             return
         assert request == VIDIOC_QUERYBUF
+        assert isinstance(buffer, V4l2Buffer)
         if not self.answers_queries or buffer.index >= 2:
             raise OSError(errno.EINVAL, "Invalid argument")
         buffer.flags = self.label | 0x2000
@@ -208,6 +209,8 @@ class FakeV4l2:
             buffer.sequence = self._held.sequence
 
     def _query_control(self, query: V4l2QueryControl) -> None:
+        if query.id not in IDENTIFIERS.values():
+            raise OSError(errno.EINVAL, "Invalid argument")
         name = {number: field for field, number in IDENTIFIERS.items()}[query.id].upper()
         if name not in self.controls:
             raise OSError(errno.EINVAL, "Invalid argument")

@@ -1,4 +1,4 @@
-"""Files judged by programs that are not ours: Khronos's glTF validator, and OpenSim where it is installed."""
+"""Files judged by programs that are not ours: Khronos's glTF validator."""
 
 from __future__ import annotations
 
@@ -7,16 +7,12 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from bridged.poses import hand
 from click.testing import CliRunner
-from exported import person
 from exported.foreign_programs import npm_packages
 from hand_messages import object_pose
 from things import mug, save
 
-from rhot.anatomy.skeleton import JOINTS
 from rhot.messages import BoxShape, CylinderShape, SphereShape
 from rhot.object_mesh import mesh_file
 from rhot_tools.export.gltf import gltf_document
@@ -64,20 +60,3 @@ def test_gltf_validator_finds_no_error_and_no_warning(validated: list[dict[str, 
         assert report["issues"]["numWarnings"] == 0, report["issues"]["messages"]
     assert validated[0]["info"]["animationCount"] == 1
     assert validated[0]["info"]["hasSkins"]
-
-
-def test_opensim_itself_reads_markers_and_angles(poses_recording: Path, tmp_path: Path) -> None:
-    opensim = pytest.importorskip("opensim", reason="OpenSim is too large for make test (220 MB): pip install opensim")
-    done = CliRunner().invoke(
-        export, [str(poses_recording), "--trc", str(tmp_path / "x.trc"), "--mot", str(tmp_path / "x.mot")]
-    )
-    assert done.exit_code == 0, done.output
-    markers = opensim.TimeSeriesTableVec3(str(tmp_path / "x.trc"))
-    assert markers.getTableMetaDataString("Units") == "m"
-    assert markers.getIndependentColumn()[0] == 0.0
-    column = markers.getDependentColumn("hand_left_index_tip")
-    truth = hand("flat", "left").positions[JOINTS.index("index_tip")]
-    np.testing.assert_allclose([column[10][axis] for axis in range(3)], truth, atol=2e-6)
-    angles = opensim.TimeSeriesTable(str(tmp_path / "x.mot"))
-    assert angles.getTableMetaDataString("inDegrees") == "yes"
-    assert angles.getDependentColumn("knee_angle_r")[10] == pytest.approx(np.degrees(person.KNEE_RAD), abs=1e-5)

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import BusError, ConfigError
 from rhot.rig import BusConfig
@@ -19,7 +19,7 @@ from rhot_tools.operate.inspect import json_text, plain_value
 
 async def _config(bus_config: BusConfig, service: str, change: dict[str, Any]) -> Any:
     key = f"rhot/config/{service}"
-    async with await Bus.open(bus_config, timeout_s=2.0) as bus:
+    async with await Bus.open(bus_config, timeout_s=CONNECT_S) as bus:
         if change:
             # Asked with the change as payload, the service answers with its new configuration or with its refusal.
             replies = await bus.get(f"{key}?format=json", json.dumps(change).encode())

@@ -7,7 +7,7 @@ import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.errors import BusError
 from rhot.operation.control import broadcast, newest_control, quickest_exchange
 from rhot.operation.status import fetch_status
@@ -38,7 +38,7 @@ async def started(bus: Bus, session: str) -> AsyncIterator[None]:
     if await _running(bus):
         yield
         return
-    await broadcast(bus, "start", session, _START_DELAY_S, 2.0)
+    await broadcast(bus, "start", session, _START_DELAY_S, CONNECT_S)
     running_limit_s = 5.0
     deadline = time.monotonic() + running_limit_s
     while time.monotonic() < deadline:
@@ -49,7 +49,7 @@ async def started(bus: Bus, session: str) -> AsyncIterator[None]:
     try:
         yield
     finally:
-        await broadcast(bus, "stop", session, 0.0, 2.0)
+        await broadcast(bus, "stop", session, 0.0, CONNECT_S)
 
 
 async def _running(bus: Bus) -> bool:

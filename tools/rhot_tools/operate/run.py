@@ -12,7 +12,7 @@ from typing import Literal
 import click
 from rich.console import Console
 
-from rhot.bus import Bus
+from rhot.bus import CONNECT_S, Bus
 from rhot.cli.options import FiniteRange, bus_options, endpoints, namespace_option, overridden, rig_option, tool_bus
 from rhot.errors import BusError
 from rhot.messages import ServiceStatus
@@ -67,7 +67,7 @@ def router(listen: tuple[str, ...], rig_path: Path, namespace: str | None) -> in
 
 
 async def _fetch(config: BusConfig) -> tuple[set[str], dict[str, ServiceStatus]]:
-    async with await Bus.open(config, timeout_s=2.0) as bus:
+    async with await Bus.open(config, timeout_s=CONNECT_S) as bus:
         return await fetch_status(bus)
 
 
@@ -103,7 +103,7 @@ _LOOK_S = 1.0
 async def _control(
     config: BusConfig, action: Literal["start", "stop"], session: str, delay_s: float, wait_s: float
 ) -> None:
-    async with await Bus.open(config, timeout_s=max(wait_s, 2.0)) as bus:
+    async with await Bus.open(config, timeout_s=max(wait_s, CONNECT_S)) as bus:
         if action == "stop" and session:
             known = await newest_control(bus)
             if known is not None and known.session != session:

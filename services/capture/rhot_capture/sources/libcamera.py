@@ -56,7 +56,7 @@ def locked_controls(
     settings: CameraConfig | CameraSettings,
     offered: Container[str],
 ) -> dict[str, Any]:
-    """Return libcamera's controls with all automatic functions switched off.
+    """Return libcamera's controls with all automatic functions switched off, as far as a camera has them.
 
     Args:
         enums: `libcamera.controls`.
@@ -78,33 +78,41 @@ def locked_controls(
         "FrameDurationLimits": (frame_us, frame_us),
         "NoiseReductionMode": enums.draft.NoiseReductionModeEnum.Off,
     }
-    controls |= {name.capitalize(): getattr(settings, name) for name in PICTURE_NEUTRAL if name.capitalize() in offered}
+    controls |= {name.capitalize(): getattr(settings, name) for name in PICTURE_NEUTRAL}
     if settings.focus_dioptres is not None:
         if "LensPosition" in offered:
             controls |= {"AfMode": enums.AfModeEnum.Manual, "LensPosition": settings.focus_dioptres}
         else:
             logger.warning("camera %s: has no focus motor; focus_dioptres is ignored", name)
     if camera.sync != "off":
-        if not hasattr(enums, "rpi") or not hasattr(enums.rpi, "SyncModeEnum"):
+        if "SyncMode" not in offered or not hasattr(enums, "rpi") or not hasattr(enums.rpi, "SyncModeEnum"):
             raise DeviceError(
-                f'camera {name}: sync = "{camera.sync}" needs libcamera 0.4 or newer; '
+                f'camera {name}: sync = "{camera.sync}" needs a Raspberry Pi with libcamera 0.4 or newer; '
                 '`sudo apt full-upgrade`, or set sync = "off"'
             )
         modes = enums.rpi.SyncModeEnum
         controls["SyncMode"] = modes.Server if camera.sync == "server" else modes.Client
-    return controls
+    return {control: value for control, value in controls.items() if control in offered}
+
+
+_MUST_LOCK: Final = {"ExposureTime": "exposure", "AnalogueGain": "gain", "ColourGains": "white balance"}
 
 
 def lacking_controls(settings: CameraConfig | CameraSettings, offered: Container[str], name: str) -> str:
-    """Return a sentence with the requested picture settings that a camera does not support; empty when none."""
+    """Return what a camera cannot be set to, as sentences; empty when all can be."""
     lacking = [
         f"{field} = {value:g}"
         for field, neutral in PICTURE_NEUTRAL.items()
         if (value := getattr(settings, field)) != neutral and field.capitalize() not in offered
     ]
-    if not lacking:
-        return ""
-    return f"camera {name} has no control for {', '.join(lacking)}; take it out of [cameras.{name}] in rig.toml"
+    told = []
+    if lacking:
+        told.append(
+            f"camera {name} has no control for {', '.join(lacking)}; take it out of [cameras.{name}] in rig.toml"
+        )
+    if open_ended := [what for control, what in _MUST_LOCK.items() if control not in offered]:
+        told.append(f"camera {name} cannot lock {', '.join(open_ended)}: colours may drift when the light changes")
+    return ". ".join(told)
 
 
 def differences(metadata: Mapping[str, Any], expected: Mapping[str, float]) -> list[str]:

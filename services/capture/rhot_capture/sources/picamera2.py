@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from typing import Any, Final
 
+import cv2
 import numpy as np
 
 from rhot.errors import ConfigError, DeviceError, RhotError
@@ -34,8 +35,10 @@ from rhot_capture.sources.libcamera import (
 # Choice of a sensor mode.
 
 
-def choose_mode(modes: Sequence[Mapping[str, Any]], camera: CameraConfig, name: str) -> Mapping[str, Any]:
-    """Return the sensor mode to use: fast enough, widest view, then fewest pixels.
+def choose_mode(modes: Sequence[Mapping[str, Any]], camera: CameraConfig, name: str) -> Mapping[str, Any] | None:
+    """Return the sensor mode to use: fast enough, widest view, then fewest pixels; None where there is no choice.
+
+    Cameras without raw pictures (USB cameras, vimc) list formats instead of modes, without sizes and rates.
 
     Args:
         modes: picamera2's `sensor_modes`.
@@ -47,13 +50,16 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], camera: CameraConfig, name: 
     """
     # A synchronised camera must be able to shorten frames, so it may not run at the mode's full rate.
     margin = 0.95 if camera.sync != "off" else 1.0
+    modes = [mode for mode in modes if "size" in mode and "fps" in mode]
+    if not modes:
+        return None
     large = [mode for mode in modes if mode["size"][0] >= camera.width and mode["size"][1] >= camera.height]
     usable = [mode for mode in large if float(mode["fps"]) * margin >= camera.rate_hz]
     if not usable:
         choices = ", ".join(f"{mode['size'][0]}x{mode['size'][1]} at {float(mode['fps']):.1f} Hz" for mode in modes)
         raise DeviceError(
             f"camera {name}: no sensor mode gives {camera.width}x{camera.height} at {camera.rate_hz:g} Hz"
-            f"{' with room to synchronise' if margin < 1.0 else ''}; it has {choices or 'none'}; lower rate_hz or size"
+            f"{' with room to synchronise' if margin < 1.0 else ''}; it has {choices}; lower rate_hz or size"
         )
 
     def cost(mode: Mapping[str, Any]) -> tuple[float, float]:
@@ -67,8 +73,9 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], camera: CameraConfig, name: 
 
 logger = logging.getLogger(__name__)
 
-_FORMAT: Final = "RGB888"
-"""picamera2 names formats by significance: RGB888 lies in memory as B, G, R, which is what OpenCV wants."""
+_FORMATS: Final = ("RGB888", "BGR888")
+"""picamera2 names formats by significance: RGB888 lies in memory as B, G, R, which is what OpenCV wants; the other one,
+for cameras that have only that, costs a copy of every picture."""
 _WAIT_S: Final = 0.5
 _SILENCE_S: Final = 5.0
 _SYNC_WAIT_S: Final = 10.0
@@ -111,6 +118,7 @@ class Picamera2Source:
         self._offset_ns = offset_ns
         self._modules: PicameraModules | None = None
         self._device: Any = None
+        self._format = _FORMATS[0]
         self._start_ns = 0
         self._readout_s = camera.readout_s
         self._exposure_s = camera.exposure_s
@@ -150,8 +158,8 @@ class Picamera2Source:
         if number >= len(present):
             found = ", ".join(f"{index}: {info.get('Model', '?')}" for index, info in enumerate(present)) or "none"
             raise DeviceError(
-                f"camera {self._name}: no libcamera camera {number}; present: {found}; check the ribbon cable, and "
-                "`rpicam-hello --list-cameras`"
+                f"camera {self._name}: no libcamera camera {number}; present: {found}; check that no other program "
+                "uses it, the ribbon cable, and `rpicam-hello --list-cameras`"
             )
         with self._driver_errors("cannot be opened; another program uses it?"):
             self._device = self._modules.picamera2.Picamera2(number)
@@ -251,33 +259,54 @@ class Picamera2Source:
     def _start(self) -> None:
         camera = self._camera
         mode = choose_mode(self._device.sensor_modes, camera, self._name)
-        if camera.readout_s == 0.0:
+        if mode is not None and camera.readout_s == 0.0:
             # At its highest rate a sensor reads out rows almost without pause: read-out takes the whole frame period.
             self._readout_s = 1.0 / float(mode["fps"])
         self._offered = frozenset(getattr(self._device, "camera_controls", {}))
         self._lacking = lacking_controls(camera, self._offered, self._name)
         if self._lacking:
             logger.warning("%s", self._lacking)
+        for last, wanted in enumerate(_FORMATS, start=1 - len(_FORMATS)):
+            self._configure(mode, wanted)
+            try:
+                self._device.start()
+                break
+            except RuntimeError:
+                # A camera may accept a format whose link it then cannot set up (vimc).
+                if last == 0:
+                    raise
+        logger.info(
+            "camera %s: sensor mode %s, running at %.1f Hz",
+            self._name,
+            "of its own"
+            if mode is None
+            else f"{mode['size'][0]}x{mode['size'][1]} at up to {float(mode['fps']):.1f} Hz",
+            camera.rate_hz,
+        )
+
+    def _configure(self, mode: Mapping[str, Any] | None, wanted: str) -> None:
+        camera = self._camera
+        sensor = {} if mode is None else {"sensor": {"output_size": mode["size"], "bit_depth": mode["bit_depth"]}}
         # One being exposed, one in the pipeline, one waiting, one in work.
         configuration = self._device.create_video_configuration(
-            main={"size": (camera.width, camera.height), "format": _FORMAT},
-            sensor={"output_size": mode["size"], "bit_depth": mode["bit_depth"]},
+            main={"size": (camera.width, camera.height), "format": wanted},
+            **sensor,
             buffer_count=4,
             queue=False,
             controls=self._controls(camera),
         )
         self._device.configure(configuration)
-        size = tuple(self._device.camera_configuration()["main"]["size"])
+        given = self._device.camera_configuration()["main"]
+        size, self._format = tuple(given["size"]), given["format"]
         if size != (camera.width, camera.height):
             raise DeviceError(
                 f"camera {self._name}: delivers {size[0]}x{size[1]} instead of {camera.width}x{camera.height}; "
                 "set width and height in rig.toml to a size that it has"
             )
-        self._device.start()
-        logger.info(
-            "camera %s: sensor mode %sx%s at up to %.1f Hz, running at %.1f Hz",
-            self._name, *mode["size"], float(mode["fps"]), camera.rate_hz,
-        )  # fmt: skip
+        if self._format not in _FORMATS:
+            raise DeviceError(
+                f"camera {self._name}: delivers pixels as {self._format}; RHOT needs one of {', '.join(_FORMATS)}"
+            )
 
     def _controls(self, settings: CameraConfig | CameraSettings) -> dict[str, Any]:
         if self._modules is None:
@@ -334,6 +363,10 @@ class Picamera2Source:
             mapped.__exit__(None, None, None)
             request.release()
 
+        if self._format != _FORMATS[0]:
+            swapped: np.ndarray[Any, np.dtype[np.uint8]] = cv2.cvtColor(mapped.array, cv2.COLOR_RGB2BGR)
+            give_back()
+            return swapped
         # The buffer is returned when the last view of the image is released; nothing is copied. The lease is needed,
         # because numpy views may refer directly to the owner of the memory, which is then the lease.
         lease = _Lease(mapped.array)

@@ -29,6 +29,10 @@ VIDIOC_QUERYCTRL: Final = 0xC0445624
 """`_IOWR('V', 36, struct v4l2_queryctrl)`."""
 IDENTIFIERS: Final = {"brightness": 0x00980900, "contrast": 0x00980901, "saturation": 0x00980902}
 """`V4L2_CID_BRIGHTNESS` and its neighbours."""
+VIDIOC_S_CTRL: Final = 0xC008561C
+"""`_IOWR('V', 28, struct v4l2_control)`."""
+AUTOGAIN: Final = 0x00980912
+"""`V4L2_CID_AUTOGAIN`, which OpenCV knows no name for."""
 UNUSABLE: Final = 0x0001 | 0x0004
 """`V4L2_CTRL_FLAG_DISABLED`, `V4L2_CTRL_FLAG_READ_ONLY`."""
 
@@ -53,6 +57,15 @@ class V4l2QueryControl(ctypes.Structure):
         ("flags", ctypes.c_uint32),
         ("reserved", ctypes.c_uint32 * 2),
     )
+
+
+class V4l2Control(ctypes.Structure):
+    """`struct v4l2_control`."""
+
+    id: int
+    value: int
+
+    _fields_ = (("id", ctypes.c_uint32), ("value", ctypes.c_int32))
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,11 +22,14 @@ from rhot.rig.sections import PICTURE_NEUTRAL
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.v4l2.controls import (
+    AUTOGAIN,
     IDENTIFIERS,
     UNUSABLE,
     VIDIOC_QUERYCTRL,
+    VIDIOC_S_CTRL,
     ControlRange,
     DriverControls,
+    V4l2Control,
     V4l2QueryControl,
 )
 
@@ -90,7 +93,7 @@ def stamps_arrival(device: str, sysfs: Path = Path("/sys")) -> bool:
         return False
 
 
-Ioctl = Callable[[int, int, V4l2Buffer | V4l2QueryControl], object]
+Ioctl = Callable[[int, int, V4l2Buffer | V4l2Control | V4l2QueryControl], object]
 
 
 class BufferQuery:
@@ -131,7 +134,20 @@ class BufferQuery:
 
     def control_range(self, field: str) -> ControlRange | None:
         """Return the range of `brightness`, `contrast` or `saturation`; None where the driver has no such control."""
-        query = V4l2QueryControl(id=IDENTIFIERS[field])
+        return self._control(IDENTIFIERS[field])
+
+    def lock_gain(self) -> bool:
+        """Switch off the automatic gain; False where the driver refuses, True also where it has none."""
+        if self._control(AUTOGAIN) is None:
+            return True
+        try:
+            self._ioctl(self._handle, VIDIOC_S_CTRL, V4l2Control(AUTOGAIN, 0))
+        except OSError:
+            return False
+        return True
+
+    def _control(self, identifier: int) -> ControlRange | None:
+        query = V4l2QueryControl(id=identifier)
         try:
             self._ioctl(self._handle, VIDIOC_QUERYCTRL, query)
         except OSError:
@@ -204,7 +220,7 @@ class V4l2Source:
         self._capture: Any = None
         self._buffers: BufferQuery | None = None
         self._stamps = "end of frame"
-        self._exposure_s = camera.exposure_s
+        self._asked_exposure_s = self._exposure_s = camera.exposure_s
         self._picture: dict[str, float] = dict(PICTURE_NEUTRAL)
         self._start_ns = 0
         self._period_ns = round(1e9 / camera.rate_hz)
@@ -293,11 +309,15 @@ class V4l2Source:
                 raise DeviceError(f"camera {self._name}: not open; start it first")
             controls = DriverControls(self._cv, self._capture)
             refused = self._set_picture(controls, settings.picture)
-            if not refused and (refused := controls.set_exposure(settings.exposure_s)):
+            # What was refused at the start is in the status; it must not stand in the way of other changes.
+            changes_exposure = settings.exposure_s != self._asked_exposure_s
+            if changes_exposure and not refused and (refused := controls.set_exposure(settings.exposure_s)):
                 controls.set_exposure(self._exposure_s)
             if refused:
                 raise ConfigError(f"camera {self._name}: the driver of {camera.device} refuses {', '.join(refused)}")
-            self._exposure_s = controls.exposure_s(settings.exposure_s)
+            if changes_exposure:
+                self._asked_exposure_s = settings.exposure_s
+                self._exposure_s = controls.exposure_s(settings.exposure_s)
 
     def close(self) -> None:
         """Release the device, after a read in progress has ended."""
@@ -333,6 +353,8 @@ class V4l2Source:
         rate_hz = controls.value("CAP_PROP_FPS")
         self._period_ns = round(1e9 / (rate_hz if rate_hz > 0.0 else camera.rate_hz))
         self._ask_for_stamps()
+        if self._buffers is not None and not self._buffers.lock_gain():
+            refused.append("manual gain")
         refused += controls.lock(camera)
         self._picture = dict(PICTURE_NEUTRAL)
         asked = {name: getattr(camera, name) for name in PICTURE_NEUTRAL}
@@ -340,6 +362,7 @@ class V4l2Source:
             refused += self._set_picture(controls, {**self._picture, name: value})
         # Reported once in the status; later changes of other settings must not fail because of it.
         self._picture = asked
+        self._asked_exposure_s = camera.exposure_s
         self._exposure_s = controls.exposure_s(camera.exposure_s)
         if refused:
             self._problem = (
@@ -404,7 +427,8 @@ class V4l2Source:
         stamp_ns = 1000 * round(1e3 * float(capture.get(self._cv.CAP_PROP_POS_MSEC)))
         age_s = 1e-9 * (arrived_ns - stamp_ns)
         max_timestamp_age_s = 2.0
-        if 0.0 <= age_s <= max_timestamp_age_s:
+        # A driver that computes the end of a frame from its rate can be ahead by a frame (vivid).
+        if -1e-9 * self._period_ns <= age_s <= max_timestamp_age_s:
             return stamp_ns
         if self._trusts_driver:
             self._trusts_driver = False

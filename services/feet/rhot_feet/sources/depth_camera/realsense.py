@@ -37,34 +37,33 @@ _BROWN_CONRADY: Final = ("brown_conrady", "modified_brown_conrady", "inverse_bro
 say (`rs2_project_point_to_pixel`; measured with 2.59, also for the inverse kind that D400 colour cameras report)."""
 
 
-def describe_devices(sdk: Sdk) -> dict[str, str]:
-    """Return serial number to name of the RealSense cameras that are plugged in."""
-    info = sdk.camera_info
-    return {device.get_info(info.serial_number): device.get_info(info.name) for device in sdk.context().query_devices()}
+def devices_by_serial(sdk: Sdk, context: Any) -> dict[str, Any]:
+    """Return serial number to device of the cameras that an SDK context sees."""
+    serial = sdk.camera_info.serial_number
+    # A camera whose firmware is being repaired has none.
+    return {device.get_info(serial): device for device in context.query_devices() if device.supports(serial)}
 
 
-def find_device(sdk: Sdk, serial: str | None) -> Any:
+def find_device(sdk: Sdk, context: Any, serial: str | None) -> Any:
     """Return the device of a serial number, or the only one.
 
     Raises:
         DeviceError: none, not this one, or several to choose from; names those that are there.
     """
-    devices = list(sdk.context().query_devices())
-    info = sdk.camera_info
-    names = [f"{device.get_info(info.serial_number)} ({device.get_info(info.name)})" for device in devices]
-    if not devices:
+    by_serial = devices_by_serial(sdk, context)
+    names = [f"{number} ({device.get_info(sdk.camera_info.name)})" for number, device in by_serial.items()]
+    if not by_serial:
         raise DeviceError(
             "no RealSense camera is plugged in; on Linux it also needs the SDK's udev rules, and a USB 3 port"
         )
     if serial is None:
-        if len(devices) > 1:
+        if len(by_serial) > 1:
             raise DeviceError(
                 f"several RealSense cameras: {', '.join(names)}; set serial in [feet.camera] to one of them"
             )
-        return devices[0]
-    for device in devices:
-        if device.get_info(info.serial_number) == serial:
-            return device
+        return next(iter(by_serial.values()))
+    if serial in by_serial:
+        return by_serial[serial]
     raise DeviceError(
         f"no RealSense with serial {serial}; there is {', '.join(names)}; correct serial in [feet.camera]"
     )
@@ -215,6 +214,8 @@ class RealSenseSource:
         self._filtering = filtering or DepthFiltering()
         self._load = load
         self._sdk: Sdk = None
+        # One for all calls: each context watches the USB bus by itself.
+        self._context: Any = None
         self._pipeline: Any = None
         self._depth: DepthPipeline | None = None
         self._camera: CameraModel | None = None
@@ -238,7 +239,9 @@ class RealSenseSource:
         """
         with self._lock:
             self._sdk = self._load()
-            device = find_device(self._sdk, self._config.serial)
+            if self._context is None:
+                self._context = self._sdk.context()
+            device = find_device(self._sdk, self._context, self._config.serial)
             self._serial = device.get_info(self._sdk.camera_info.serial_number)
             configure_sensors(self._sdk, device)
             self._start(device)
@@ -252,7 +255,7 @@ class RealSenseSource:
         rate = round(config.rate_hz)
         request.enable_stream(sdk.stream.depth, config.width, config.height, sdk.format.z16, rate)
         request.enable_stream(sdk.stream.color, config.width, config.height, sdk.format.bgr8, rate)
-        pipeline = sdk.pipeline()
+        pipeline = sdk.pipeline(self._context)
         try:
             profile = pipeline.start(request)
         except RuntimeError as error:
@@ -306,7 +309,7 @@ class RealSenseSource:
         # Silence after which the SDK is asked whether the camera is still there.
         if silent_s < 1.0:
             return
-        if self._serial not in describe_devices(self._sdk):
+        if self._serial not in devices_by_serial(self._sdk, self._context):
             raise DeviceError(
                 f"RealSense {self._serial} was unplugged; plug it in again and tracking goes on by itself"
             )

@@ -1,0 +1,116 @@
+"""What we write and send, read by programs that are not ours, each in an environment of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bridged import poses as bridge_poses
+from bridged.poses import POSES, hand
+from bridged.readers import messages
+from click.testing import CliRunner
+from exported import person
+
+from rhot.anatomy.skeleton import JOINTS
+from rhot_bridge.axes import Converter
+from rhot_bridge.targets.vmc import VmcTarget
+from rhot_tools.recordings.export import export
+
+pytestmark = pytest.mark.stacks
+
+REPOSITORY = Path(__file__).parents[3]
+PYTHON = Path(os.environ.get("RHOT_STACKS", REPOSITORY / ".stacks")) / "readers" / "bin" / "python"
+HERE = REPOSITORY / "tests" / "stacks" / "readers"
+
+
+def read(script: str, *arguments: str, package: str) -> Any:
+    """Return what a reader in its own environment prints."""
+    if not PYTHON.exists():
+        pytest.skip("no environment of readers: `make stacks` makes it")
+    if subprocess.run([PYTHON, "-c", f"import {package}"], capture_output=True, check=False).returncode:
+        pytest.skip(f"{package} has no wheel for this Python")
+    done = subprocess.run([PYTHON, HERE / script, *arguments], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    # Blender also talks before.
+    return json.loads(done.stdout[done.stdout.index("{") :])
+
+
+def written(recording: Path, *options: str) -> None:
+    done = CliRunner().invoke(export, [str(recording), *options])
+    assert done.exit_code == 0, done.output
+
+
+MIDDLES = [(name, (number + 0.5) * person.SECONDS_A_POSE) for number, name in enumerate(POSES)]
+"""Each pose, and a moment in the middle of its time."""
+
+
+@pytest.mark.parametrize(("pose", "at_s"), MIDDLES)
+def test_blender_puts_every_joint_of_gltf_where_it_is(
+    poses_recording: Path, tmp_path: Path, pose: str, at_s: float
+) -> None:
+    file = tmp_path / "x.glb"
+    written(poses_recording, "--gltf", str(file))
+    found = read("blender.py", str(file), str(at_s), package="bpy")
+    worst_mm = []
+    for side in ("left", "right"):
+        truth = hand(pose, side).positions
+        for number, joint in enumerate(JOINTS):
+            name = next(name for name in found if f"hand_{side}" in name and name.endswith(joint))
+            worst_mm.append(1e3 * float(np.linalg.norm(np.array(found[name]) - truth[number])))
+    assert len(worst_mm) == 52
+    assert max(worst_mm) < 0.1
+
+
+@pytest.mark.parametrize(("pose", "at_s"), MIDDLES)
+def test_blender_puts_every_joint_of_bvh_where_it_is(
+    poses_recording: Path, tmp_path: Path, pose: str, at_s: float
+) -> None:
+    file = tmp_path / "x.bvh"
+    written(poses_recording, "--bvh", str(file), "--hand", "right")
+    found = read("blender.py", str(file), str(at_s), package="bpy")
+    truth = hand(pose, "right").positions
+    common = {joint: number for number, joint in enumerate(JOINTS) if any(name.endswith(joint) for name in found)}
+    assert len(common) >= 20
+    for joint, number in common.items():
+        name = next(name for name in found if name.endswith(joint))
+        assert 1e3 * float(np.linalg.norm(np.array(found[name]) - truth[number])) < 0.5, joint
+
+
+def test_opensim_reads_markers_and_angles(poses_recording: Path, tmp_path: Path) -> None:
+    written(poses_recording, "--trc", str(tmp_path / "x.trc"), "--mot", str(tmp_path / "x.mot"))
+    markers = read("osim.py", str(tmp_path / "x.trc"), "10", package="opensim")["values"]
+    truth = hand("flat", "left").positions[JOINTS.index("index_tip")]
+    np.testing.assert_allclose(markers["hand_left_index_tip"], truth, atol=2e-6)
+    angles = read("osim.py", str(tmp_path / "x.mot"), "10", package="opensim")["values"]
+    assert angles["knee_angle_r"] == pytest.approx(np.degrees(person.KNEE_RAD), abs=1e-5)
+
+
+def test_a_receiver_of_vmc_gets_every_bone(free_port: int) -> None:
+    if not PYTHON.exists():
+        pytest.skip("no environment of readers: `make stacks` makes it")
+    packets = VmcTarget("arms").frame(Converter("unity", np.eye(4)).scene(bridge_poses.scene("flat")), 0)
+    sent = {values[0]: values[1:] for address, values in messages(packets) if address == "/VMC/Ext/Bone/Pos"}
+    with (
+        subprocess.Popen(
+            [PYTHON, HERE / "vmc.py", str(free_port), str(len(sent))],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as reader,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        assert reader.stderr is not None
+        assert "listening" in reader.stderr.readline()
+        for packet in packets:
+            out.sendto(packet, ("127.0.0.1", free_port))
+        told, _ = reader.communicate(timeout=60)
+    found = json.loads(told)
+    assert found.keys() == sent.keys()
+    for bone, values in sent.items():
+        np.testing.assert_allclose(found[bone], values, atol=1e-6)
