@@ -14,7 +14,6 @@ from rhot.cli.options import FiniteRange
 from rhot.rig import Rig
 from rhot_bench.speed.bridges import bridges_section
 from rhot_bench.speed.cores import SpeedScene, capture_section, fusion_section, ik_section, pipeline_section
-from rhot_bench.speed.interleaved import Spread
 from rhot_bench.speed.live import live_section
 from rhot_bench.speed.pages import pages_section
 from rhot_bench.speed.pi_budget import budget_section
@@ -67,7 +66,7 @@ def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | N
     ik         five fingers; a whole hand
     pipeline   picture in memory to encoded pose, in one process
     scaling    how the cost grows with markers, cameras, hands and frame rate
-    budget     what capture would cost on a Pi 3, 4 and 5: an estimate on paper
+    budget     what capture would cost on Pis: an estimate from counted instructions
     live       latency of the whole system, as processes on the bus
     processes  start-up time and memory of each service
     tls        what a secured bus costs: latency with and without certificates
@@ -102,10 +101,8 @@ def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) 
         pictures = progress.add_task("rendering", total=2 * seconds * RATE_HZ)
         scene = SpeedScene(rig, seconds, lambda: progress.advance(pictures))
         work = progress.add_task("measuring the cores", total=4 + scaling_steps())
-        capture: dict[str, Spread] = {}
-        if {"capture", "budget"} & set(parts):
-            section, capture = capture_section(scene)
-            sections += [section] if "capture" in parts else []
+        if "capture" in parts:
+            sections.append(capture_section(scene)[0])
         progress.advance(work)
         for part, make in (("fusion", fusion_section), ("ik", ik_section), ("pipeline", pipeline_section)):
             if part in parts:
@@ -114,8 +111,7 @@ def _measure(rig: Rig, parts: tuple[str, ...], quick: bool, progress: Progress) 
         if "scaling" in parts:
             sections.append(scaling_section(scene, 0.5 if quick else 3.0, lambda: progress.advance(work)))
         if "budget" in parts:
-            medians = (capture[name].median for name in ("thesis tracked", "ours tracked", "ours searched"))
-            sections.append(budget_section(*medians))
+            sections.append(budget_section())
     for part, text in (("live", "the whole system live"), ("processes", "starting each service")):
         if part in parts:
             waiting = progress.add_task(text, total=None)

@@ -24,6 +24,7 @@ _PATIENCE_S = 120.0
 UNITS = Path(__file__).parents[2] / "deploy" / "systemd"
 PACKAGES = "/opt/rhot-test-packages"
 SOURCE = "/usr/src/rhot"
+SPACED = "/usr/src/RHOT of mine"
 RHOT = "/opt/rhot/venv/bin/rhot"
 RIG = "/var/lib/rhot/rig"
 RUNNING = ("router", "fusion", "ik", "objects", "viewer")
@@ -72,8 +73,8 @@ def root(repository: Path) -> Iterator[DebianRoot]:
         pytest.skip(str(refused))
 
 
-def install(root: DebianRoot, *arguments: str) -> str:
-    done = root.run(f"{SOURCE}/deploy/install.sh", *arguments, environment={"PYTHONPATH": "/tmp/pip"}, timeout_s=300.0)
+def install(root: DebianRoot, *arguments: str, source: str = SOURCE) -> str:
+    done = root.run(f"{source}/deploy/install.sh", *arguments, environment={"PYTHONPATH": "/tmp/pip"}, timeout_s=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -108,6 +109,32 @@ def test_install_leaves_services_that_run_save_and_start_by_themselves(root: Deb
     install(root, "--uninstall")
     assert root.run("id", "rhot").returncode != 0
     assert root.output("ls", RIG)
+
+
+def test_interrupted_and_repeated_from_a_folder_with_spaces_it_ends_the_same(root: DebianRoot) -> None:
+    root.output("ln", "--symbolic", SOURCE, SPACED)
+    interrupted = 0
+    for seconds in ("0.3", "1", "2.5"):
+        done = root.run(
+            *("timeout", "--signal=INT", seconds, f"{SPACED}/deploy/install.sh", "pc"),
+            environment={"PYTHONPATH": "/tmp/pip"},
+        )
+        interrupted += done.returncode != 0
+    assert interrupted, "it was quicker than the interruptions"
+    after = []
+    for _ in range(2):
+        install(root, "pc", source=SPACED)
+        after.append(installed_files(root))
+    assert after[0] == after[1]
+    for name in ("router", "fusion", "ik"):
+        eventually(lambda name=name: is_active(root, f"rhot-{name}"), logs(root, f"rhot-{name}"))  # type: ignore[misc]
+    install(root, "--uninstall", source=SPACED)
+
+
+def installed_files(root: DebianRoot) -> str:
+    """Every file of the installation with its checksum; compiled modules hold a time."""
+    places = "/opt/rhot /etc/systemd/system/rhot* /etc/default/rhot*"
+    return root.output("sh", "-c", f"find {places} -type f -not -name '*.pyc' -exec sha256sum {{}} + | sort -k 2")
 
 
 def logs(root: DebianRoot, unit: str) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,10 +42,13 @@ class Rig:
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
         self.services: dict[str, Any] = yaml.safe_load(COMPOSE.read_text())["services"]
+        second = engine.run("docker", "compose", "version", check=False).returncode == 0
+        file = COMPOSE if second else _for_first_compose()
+        program = ["docker", "compose"] if second else ["docker-compose"]
+        self.command = [*program, "-p", "rhot-stacks", "--project-directory", str(COMPOSE.parent), "-f", str(file)]
 
     def compose(self, *arguments: str, check: bool = True) -> str:
-        command = ["docker-compose"] if shutil.which("docker-compose") else ["docker", "compose"]
-        done = self.engine.run(*command, "-p", "rhot-stacks", "-f", str(COMPOSE), *arguments, check=check)
+        done = self.engine.run(*self.command, *arguments, check=check)
         return done.stdout
 
     def inside(self, service: str, *command: str, check: bool = True) -> str:
@@ -60,6 +62,14 @@ class Rig:
             service = told["Config"]["Labels"]["com.docker.compose.service"]
             found[service] = told["State"].get("Health", {}).get("Status") or told["State"]["Status"]
         return found
+
+
+def _for_first_compose() -> Path:
+    """Return a copy without the project's name, which the first Compose (Debian 12) does not know."""
+    CACHE.mkdir(parents=True, exist_ok=True)
+    copy = CACHE / "compose.yaml"
+    copy.write_text(COMPOSE.read_text().replace("\nname: rhot\n", "\n"))
+    return copy
 
 
 @pytest.fixture(scope="module")

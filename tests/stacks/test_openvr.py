@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from machine.stacks import DEVICE, needs_emulated
 from numpy.typing import NDArray
 
 from rhot.errors import DeviceError
 from rhot_objects.sources import SpaceMovedError
 from rhot_objects.sources.steamvr import SteamVrSource
-from stacks import DEVICE, needs_emulated
 
 pytest.importorskip("openvr", reason="OpenVR's client library needs: pip install 'rhot[steamvr]'", exc_type=ImportError)
 

@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from machine.stacks import DEVICE, in_guest, live_settings, needs_emulated
 
 from rhot.errors import DeviceError
 from rhot.rig.config import CameraConfig
 from rhot_capture.sources import picamera2 as driver
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.picamera2 import Picamera2Source
-from stacks import DEVICE, in_guest, live_settings, needs_emulated
 
 pytestmark = pytest.mark.stacks
 CAMERA = CameraConfig(device="0", width=640, height=480, rate_hz=30.0)

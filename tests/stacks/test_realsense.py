@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from machine.stacks import DEVICE, needs_emulated
 from still_feet import FEET, head, picture, positions
 
 from rhot.errors import DeviceError
@@ -24,7 +25,6 @@ from rhot.rig.feet_config import DepthCameraConfig
 from rhot_feet.foot_core import FootCore
 from rhot_feet.frames import DepthFrame
 from rhot_feet.sources.depth_camera.realsense import DepthFiltering, RealSenseSource
-from stacks import DEVICE, needs_emulated
 
 rs = pytest.importorskip(
     "pyrealsense2",

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from machine.stacks import DEVICE, in_guest, needs_emulated
 
 from rhot.errors import DeviceError
 from rhot.rig.feet_config import ImuConfig
 from rhot_feet.imu.samples import ImuSamples
 from rhot_feet.sources.imu.serial import SerialSource, encode_binary, encode_text
-from stacks import DEVICE, in_guest, needs_emulated
 
 pytestmark = pytest.mark.stacks
 RATE_HZ = 100.0

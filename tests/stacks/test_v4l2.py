@@ -19,6 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from machine.stacks import DEVICE, SHARE, in_guest, live_settings, needs_emulated
 from running import rig_processes
 from running.rig_processes import Processes, next_message, start_rig
 
@@ -29,7 +30,6 @@ from rhot.rig import load_rig
 from rhot.rig.config import CameraConfig
 from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.v4l2 import V4l2Source
-from stacks import DEVICE, SHARE, in_guest, live_settings, needs_emulated
 
 pytestmark = pytest.mark.stacks
 _PATIENCE_S = 240.0

@@ -12,6 +12,7 @@ size_t qemu_plugin_tb_n_insns(const struct qemu_plugin_tb *block);
 void qemu_plugin_register_vcpu_tb_trans_cb(qemu_plugin_id_t id, void (*call)(qemu_plugin_id_t, struct qemu_plugin_tb *));
 void qemu_plugin_register_vcpu_tb_exec_cb(
     struct qemu_plugin_tb *block, void (*call)(unsigned, void *), int flags, void *size);
+void qemu_plugin_register_vcpu_tb_exec_inline(struct qemu_plugin_tb *block, int add, void *sum, uint64_t size);
 void qemu_plugin_register_atexit_cb(qemu_plugin_id_t id, void (*call)(qemu_plugin_id_t, void *), void *data);
 
 __attribute__((visibility("default"))) int qemu_plugin_version = VERSION;
@@ -24,7 +25,14 @@ static void executed(unsigned cpu, void *size) {
 
 static void translated(qemu_plugin_id_t id, struct qemu_plugin_tb *block) {
     (void)id;
-    qemu_plugin_register_vcpu_tb_exec_cb(block, executed, 0, (void *)(uintptr_t)qemu_plugin_tb_n_insns(block));
+    size_t size = qemu_plugin_tb_n_insns(block);
+#if VERSION == 1
+    /* Three times as fast; later versions have no sum that all threads share. */
+    (void)executed;
+    qemu_plugin_register_vcpu_tb_exec_inline(block, 0, (void *)&count, size);
+#else
+    qemu_plugin_register_vcpu_tb_exec_cb(block, executed, 0, (void *)(uintptr_t)size);
+#endif
 }
 
 static void ended(qemu_plugin_id_t id, void *data) {

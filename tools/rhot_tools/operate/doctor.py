@@ -44,6 +44,7 @@ from rhot.rig.folder import (
 from rhot.rig.sections import MeshConfig
 from rhot.text import as_argument
 from rhot_tools.operate.findings import Finding, check_bus, is_local
+from rhot_tools.operate.packages import check_packages
 
 # What `rhot doctor` finds out about the floor: is it known, and can it be where `stage.json` says.
 
@@ -473,7 +474,7 @@ def doctor(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> i
     """
     console = Console(highlight=False)
     rig, rig_findings = check_rig(rig_path)
-    findings = [*check_machine(), *rig_findings]
+    findings = [*check_machine(), *check_packages(rig), *rig_findings]
     if not any(finding.level == "bad" and RIG_FILE in finding.text for finding in rig_findings):
         findings += asyncio.run(check_running(tool_bus(rig_path, connect, namespace), rig))
     for finding in findings:

@@ -151,8 +151,9 @@ def import_pyrealsense2() -> Sdk:
     try:
         return importlib.import_module("pyrealsense2")
     except (ImportError, OSError) as error:
+        install = "sudo apt install libusb-1.0-0" if "libusb" in str(error) else "pip install 'rhot[realsense]'"
         raise DeviceError(
-            f"pyrealsense2 cannot be imported ({error}); install it with: pip install 'rhot[realsense]', or set "
+            f"pyrealsense2 cannot be imported ({error}); install what is missing with: {install}, or set "
             'source = "recorded" or "simulated" in [feet.camera]'
         ) from error
 
