@@ -15,7 +15,7 @@ from typing import Final
 
 from rhot_tools.measures.rows import Row, Section
 
-INSTRUCTIONS: Final[Mapping[str, float]] = {"tracked": 1.0, "searched": 1.0}
+INSTRUCTIONS: Final[Mapping[str, float]] = {"tracked": 5.50e6, "searched": 6.53e6}
 """A picture of a hand whose markers are followed, with one search in twenty pictures; one in which all are searched."""
 CORES: Final[Mapping[str, tuple[float, int]]] = {
     "Zero 2 W": (1.0, 2),
