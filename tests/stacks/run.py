@@ -14,7 +14,7 @@ import sys
 import time
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -79,10 +79,13 @@ def main(names: Sequence[str]) -> int:
         OUT.print(f"no such stack: {', '.join(sorted(unknown))}; there are {', '.join(s.name for s in STACKS)}")
         return 2
     chosen = [stack for stack in STACKS if not names or stack.name in names]
+    if "RHOT_DEVICE" in os.environ:
+        # The device is here: nothing has to be emulated.
+        chosen = [replace(stack, commands={}, guest=False) for stack in chosen]
     CACHE.mkdir(parents=True, exist_ok=True)
     missing = _install(chosen)
     results: list[Result] = []
-    guests = [stack for stack in chosen if stack.guest and "RHOT_DEVICE" not in os.environ]
+    guests = [stack for stack in chosen if stack.guest]
     for stack in chosen:
         if lacking := [package for command, package in stack.commands.items() if command in missing]:
             results.append(Result(stack, reason=f"needs {' '.join(lacking)}: apt install {' '.join(lacking)}"))

@@ -91,7 +91,7 @@ def rig() -> Iterator[Rig]:
             if not engine.has(router):
                 (CACHE / "router").mkdir(parents=True, exist_ok=True)
                 (CACHE / "router" / "Dockerfile").write_text(ROUTER_STAND_IN.format(rhot=image))
-                engine.run("docker", "build", "--tag", router, str(CACHE / "router"))
+                engine.run("docker", "build", "--network", "host", "--tag", router, str(CACHE / "router"))
             made.compose("up", "--detach", "--no-build")
             try:
                 yield made

@@ -15,6 +15,20 @@ from pathlib import Path
 _PACKAGES = "python3,python3-venv,python3-pip,passwd,ca-certificates,netcat-openbsd"
 
 
+_NO_RULES = b"""*filter
+:INPUT ACCEPT
+:FORWARD ACCEPT
+:OUTPUT ACCEPT
+COMMIT
+*nat
+:PREROUTING ACCEPT
+:INPUT ACCEPT
+:OUTPUT ACCEPT
+:POSTROUTING ACCEPT
+COMMIT
+"""
+
+
 class EngineRefusedError(Exception):
     """No container engine can run here; says why."""
 
@@ -66,11 +80,22 @@ def container_engine(folder: Path) -> Iterator[Engine]:
     folder.mkdir(parents=True, exist_ok=True)
     # Short, because the kernel allows a socket's path about 100 characters.
     made = tempfile.TemporaryDirectory(prefix="rhot-docker-", ignore_cleanup_errors=True)
+    rules = subprocess.run(["iptables-save"], capture_output=True, check=False).stdout
     with made as short, (folder / "log").open("w") as log:
         host = f"unix://{short}/socket"
         daemon = subprocess.Popen(
             [
-                *("dockerd", "--host", host, "--data-root", str(folder / "data"), "--exec-root", f"{short}/exec"),
+                *(
+                    "dockerd",
+                    "--bridge",
+                    "none",
+                    "--host",
+                    host,
+                    "--data-root",
+                    str(folder / "data"),
+                    "--exec-root",
+                    f"{short}/exec",
+                ),
                 *("--pidfile", f"{short}/pid"),
             ],
             stdout=log,
@@ -87,6 +112,8 @@ def container_engine(folder: Path) -> Iterator[Engine]:
         finally:
             daemon.terminate()
             daemon.wait(30)
+            # What it leaves in the kernel: its rules, and the network namespace of the host.
+            subprocess.run(["iptables-restore"], input=rules or _NO_RULES, capture_output=True, check=False)
             for kept in Path(short).glob("exec/netns/*"):
                 subprocess.run(["umount", str(kept)], capture_output=True, check=False)
 
