@@ -5,6 +5,7 @@ Where the official images cannot be fetched, Debian's Python stands in for the o
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -18,6 +19,7 @@ import yaml
 from machine.engine import Engine, EngineRefusedError, container_engine, make_python_image
 
 from rhot.bus import Bus
+from rhot.errors import BusError
 from rhot.messages import HandPose, decode
 from rhot.rig import BusConfig
 
@@ -157,6 +159,19 @@ async def test_a_service_that_dies_comes_back_and_tracking_goes_on(rig: Rig) -> 
     assert len(poses) == 20
     rig.compose("restart", "ik")
     assert len(await hands(20)) == 20
+
+
+async def test_with_certificates_the_rig_tracks_and_strangers_see_nothing(rig: Rig) -> None:
+    rig.compose("down", "--volumes", "--timeout", "10")
+    rig.command += ["-f", str(COMPOSE.with_name("compose.secure.yaml"))]
+    rig.compose("up", "--detach", "--no-build")
+    deadline = time.monotonic() + 180.0
+    while '"measured"' not in rig.inside("fusion", "rhot", "get", "rhot/hand/right", check=False):
+        assert time.monotonic() < deadline, rig.compose("logs", "--tail", "20")
+        await asyncio.sleep(3.0)
+    for transport in ("tcp", "tls"):
+        with pytest.raises(BusError):
+            await Bus.open(BusConfig(connect=(f"{transport}/127.0.0.1:7447",)), timeout_s=5.0)
 
 
 def test_the_stop_is_clean_and_quick(rig: Rig) -> None:
