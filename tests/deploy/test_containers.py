@@ -190,3 +190,10 @@ def test_the_image_is_small_and_not_root(dockerfile: list[list[str]]) -> None:
     assert ["USER", "rhot"] in last
     assert not [words for words in last if "pip" in words]
     assert ["ENTRYPOINT", "[rhot]"] in last
+
+
+def test_every_service_has_its_secured_form(compose: dict[str, Any], deploy: Path) -> None:
+    secure = yaml.safe_load((deploy / "compose.secure.yaml").read_text(encoding="utf-8"))["services"]
+    assert secure.keys() == compose["services"].keys()
+    for name in secure.keys() - {"rig", "router"}:
+        assert secure[name]["environment"]["RHOT_CONNECT"] == "tls/router:7447"
