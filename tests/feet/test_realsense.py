@@ -13,7 +13,13 @@ from wall_clock import in_time
 from rhot.errors import DeviceError, HungDeviceError
 from rhot.rig.feet_config import DepthCameraConfig
 from rhot_feet.service import DepthGrabber
-from rhot_feet.sources.depth_camera.realsense import DepthFiltering, DepthPipeline, RealSenseSource, camera_of
+from rhot_feet.sources.depth_camera.realsense import (
+    DepthFiltering,
+    DepthPipeline,
+    RealSenseSource,
+    camera_of,
+    import_pyrealsense2,
+)
 
 SENT_US, MIDDLE_US = 5_009_000, 5_000_000
 
@@ -241,6 +247,22 @@ def test_the_right_one_of_several() -> None:
     sdk = Sdk(Info("123"), Info("456"))
     opened(sdk, clock, serial="456")
     assert sdk.calls == ["device 456"]
+
+
+@pytest.mark.parametrize(
+    ("error", "remedy"),
+    [
+        (ImportError("libusb-1.0.so.0: cannot open shared object file"), "sudo apt install libusb-1.0-0"),
+        (ModuleNotFoundError("No module named 'pyrealsense2'"), r"pip install 'rhot\[realsense\]'"),
+    ],
+)
+def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, error: ImportError, remedy: str) -> None:
+    def fails(name: str) -> None:
+        raise error
+
+    monkeypatch.setattr("importlib.import_module", fails)
+    with pytest.raises(DeviceError, match=f"install what is missing with: {remedy}"):
+        import_pyrealsense2()
 
 
 def test_a_camera_without_a_serial_number_is_passed_over() -> None:
