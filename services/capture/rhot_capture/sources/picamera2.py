@@ -266,14 +266,14 @@ class Picamera2Source:
         self._lacking = lacking_controls(camera, self._offered, self._name)
         if self._lacking:
             logger.warning("%s", self._lacking)
-        for last, wanted in enumerate(_FORMATS, start=1 - len(_FORMATS)):
+        for wanted in _FORMATS:
             self._configure(mode, wanted)
             try:
                 self._device.start()
                 break
             except RuntimeError:
                 # A camera may accept a format whose link it then cannot set up (vimc).
-                if last == 0:
+                if wanted == _FORMATS[-1]:
                     raise
         logger.info(
             "camera %s: sensor mode %s, running at %.1f Hz",
