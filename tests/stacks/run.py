@@ -26,7 +26,7 @@ CACHE = Path(os.environ.get("RHOT_STACKS", REPOSITORY / ".stacks"))
 CONSTRAINTS = REPOSITORY / "constraints.txt"
 GUEST_S = 900.0
 """Longest run of the emulated machine."""
-OUT = Console(highlight=False)
+OUT = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,10 @@ def _made(name: str, mark: str, command: Sequence[str | Path]) -> str:
         return ""
     OUT.print(f"making {name}")
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False)
-    return "" if done.returncode == 0 else f"{name} cannot be made: {(done.stderr or done.stdout).strip()[-300:]}"
+    if done.returncode == 0:
+        return ""
+    last = (done.stderr or done.stdout).strip().splitlines()[-1:]
+    return f"{name} cannot be made: {' '.join(last)}"
 
 
 def _run_here(stack: Stack) -> Result:
@@ -143,7 +146,7 @@ def _run_here(stack: Stack) -> Result:
     elif stack.name == "readers":
         reason = _made("an environment of readers", "readers/.ready", [HERE / "readers" / "make.sh", CACHE / "readers"])
     if reason:
-        return Result(stack, reason=reason)
+        return Result(stack, failed=1, reason=reason)
     OUT.print(f"running {stack.name}")
     report = CACHE / f"{stack.name}.xml"
     marker = ["-m", stack.marker] if stack.marker else []
@@ -166,7 +169,7 @@ def _run_in_guest(stacks: Sequence[Stack]) -> list[Result]:
         "the emulated machine (minutes, once)", "guest/disk.ext4", [HERE / "guest" / "make.sh", folder, CONSTRAINTS]
     )
     if reason:
-        return [Result(stack, reason=reason) for stack in stacks]
+        return [Result(stack, failed=1, reason=reason) for stack in stacks]
     shutil.rmtree(share, ignore_errors=True)
     (share / "played").mkdir(parents=True)
     # What is installed here, so that the guest's `rhot` knows its commands.

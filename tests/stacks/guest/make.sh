@@ -25,7 +25,8 @@ chroot "$root" /opt/rhot/bin/pip install --quiet --disable-pip-version-check --c
     cryptography click eclipse-zenoh fpdf2 hypothesis mcap mcap-protobuf-support msgpack numpy opencv-python-headless \
     picamera2 pydantic pyserial pytest pytest-asyncio python-osc pyyaml rich scipy tomlkit trimesh viser websockets
 # picamera2 imports KMS++ for its previews on a screen, which is packaged for Raspberry Pi OS alone.
-cat > "$root"/opt/rhot/lib/python3*/site-packages/pykms.py <<'PYKMS'
+site=$(chroot "$root" /opt/rhot/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+cat > "$root$site/pykms.py" <<'PYKMS'
 class _Names(type):
     def __getattr__(cls, name):
         return name
