@@ -40,6 +40,7 @@ PYKMS
 chroot "$root" sh -c '
     set -eu
     cd /tmp
+    apt-get update -q > /dev/null
     apt-get download -q linux-source-6.12 > /dev/null
     dpkg-deb --fsys-tarfile linux-source-6.12*.deb | tar x --to-stdout ./usr/src/linux-source-6.12.tar.xz |
         tar xJ linux-source-6.12/drivers/media/test-drivers/vimc
