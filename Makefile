@@ -107,7 +107,7 @@ test:
 	@$(BIN)/pytest --numprocesses $(WORKERS) --dist loadgroup -m "not faults and not stacks and not (integration and real_time)" -rs
 	@$(BIN)/pytest -m "integration and real_time and not faults and not stacks" -rs $(REAL_TIME)
 
-# As root on Debian it installs what is missing; emulated machines are kept in .stacks (2.5 GB).
+# As root on Debian it installs what is missing; emulated machines are kept in .stacks (7 GB).
 stacks: $(READY)
 	@$(BIN)/python tests/stacks/run.py $(STACKS)
 
