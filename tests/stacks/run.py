@@ -11,7 +11,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -151,7 +150,6 @@ def _run_here(stack: Stack) -> Result:
     report = CACHE / f"{stack.name}.xml"
     marker = ["-m", stack.marker] if stack.marker else []
     tests = [str(HERE / test) for test in stack.tests]
-    begun = time.monotonic()
     variables = {**os.environ, "RHOT_STACKS": str(CACHE)}
     subprocess.run(
         [sys.executable, "-m", "pytest", *marker, "-rs", f"--junitxml={report}", *tests],
@@ -159,7 +157,7 @@ def _run_here(stack: Stack) -> Result:
         env=variables,
         check=False,
     )
-    return _read(stack, report, time.monotonic() - begun)
+    return _read(stack, report)
 
 
 def _run_in_guest(stacks: Sequence[Stack]) -> list[Result]:
@@ -186,7 +184,6 @@ def _run_in_guest(stacks: Sequence[Stack]) -> list[Result]:
     paths = ":".join(["/share/site", *(f"/rhot/{part}" for part in parts)])
     (share / "job.sh").write_text("\n".join(["cd /rhot", f"export RHOT_GUEST=1 PYTHONPATH={paths}", *runs, ""]))
     OUT.print(f"running {', '.join(stack.name for stack in stacks)} in an emulated machine")
-    begun = time.monotonic()
     mounts = [f"local,path={path},mount_tag={tag},security_model=none{more}" for path, tag, more in (
         (share, "share", ""), (REPOSITORY, "rhot", ",readonly=on"))]  # fmt: skip
     with (share / "console.txt").open("w") as console:
@@ -206,20 +203,20 @@ def _run_in_guest(stacks: Sequence[Stack]) -> list[Result]:
         )
     output = share / "output.txt"
     OUT.print(output.read_text() if output.exists() else (share / "console.txt").read_text(), markup=False)
-    seconds = time.monotonic() - begun
-    return [_read(stack, share / f"{stack.name}.xml", seconds / len(stacks)) for stack in stacks]
+    return [_read(stack, share / f"{stack.name}.xml") for stack in stacks]
 
 
 def _services() -> list[str]:
     return sorted(f"services/{path.name}" for path in (REPOSITORY / "services").iterdir() if path.is_dir())
 
 
-def _read(stack: Stack, report: Path, seconds: float) -> Result:
+def _read(stack: Stack, report: Path) -> Result:
     """Return what a JUnit report of pytest says."""
     if not report.exists():
-        return Result(stack, failed=1, seconds=seconds, reason="its tests did not end; see above")
-    result = Result(stack, seconds=seconds)
-    for case in ET.parse(report).iter("testcase"):
+        return Result(stack, failed=1, reason="its tests did not end; see above")
+    suites = ET.parse(report)
+    result = Result(stack, seconds=sum(float(suite.get("time", 0.0)) for suite in suites.iter("testsuite")))
+    for case in suites.iter("testcase"):
         skipped = case.find("skipped")
         if case.find("failure") is not None or case.find("error") is not None:
             result.failed += 1

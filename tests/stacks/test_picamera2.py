@@ -19,12 +19,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machine.stacks import DEVICE, in_guest, live_settings, needs_emulated
+from machine.stacks import DEVICE, in_guest, live_settings, needs_emulated, read_frames
 
 from rhot.errors import DeviceError
 from rhot.rig.config import CameraConfig
 from rhot_capture.sources import picamera2 as driver
-from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.picamera2 import Picamera2Source
 
 pytestmark = pytest.mark.stacks
@@ -55,19 +54,10 @@ def source() -> Iterator[Picamera2Source]:
     made.close()
 
 
-def read(source: Picamera2Source, count: int) -> list[Frame]:
-    frames = []
-    for _ in range(count):
-        frame = source.read()
-        assert frame is not None
-        frames.append(frame)
-    return frames
-
-
 def test_pictures_come_with_numbers_and_times(source: Picamera2Source) -> None:
     source.open(0)
     begun_ns = time.monotonic_ns()
-    frames = read(source, 4)
+    frames = read_frames(source, 4)
     for before, after in itertools.pairwise(frames):
         assert after.index > before.index
         assert after.t_first_row_ns > before.t_first_row_ns
@@ -84,7 +74,7 @@ def test_colours_are_blue_green_red(source: Picamera2Source) -> None:
     """vimc draws colour bars: the first ones are white, yellow and cyan, as on every television."""
     needs_emulated("its picture is not known")
     source.open(0)
-    image = read(source, 1)[0].image
+    image = read_frames(source, 1)[0].image
     row = image[image.shape[0] // 2].astype(int)
     colors = [tuple((color > 100).tolist()) for color in row]
     # Where two bars meet, a few pixels are of neither.
@@ -114,22 +104,22 @@ def test_a_camera_without_modes_and_exposure_says_what_it_cannot_lock(
 
 def test_settings_that_the_camera_has_are_taken_while_it_runs(source: Picamera2Source) -> None:
     source.open(0)
-    read(source, 1)
+    read_frames(source, 1)
     source.apply(live_settings(CAMERA, contrast=1.2))
-    read(source, 1)
+    read_frames(source, 1)
 
 
 def test_closing_gives_the_camera_back_and_it_opens_again(source: Picamera2Source) -> None:
     for _ in range(3):
         source.open(0)
-        read(source, 1)
+        read_frames(source, 1)
         source.close()
     assert source.read() is None
 
 
 def test_a_second_program_gets_the_reason(source: Picamera2Source) -> None:
     source.open(0)
-    read(source, 1)
+    read_frames(source, 1)
     other = (
         "from rhot.rig.config import CameraConfig\n"
         "from rhot_capture.sources.picamera2 import Picamera2Source\n"
@@ -174,7 +164,7 @@ def test_a_camera_that_goes_silent_is_an_error(source: Picamera2Source, monkeypa
     needs_emulated("it would have to be pulled out")
     monkeypatch.setattr(driver, "_SILENCE_S", 2.0)
     source.open(0)
-    read(source, 1)
+    read_frames(source, 1)
     device = source._device
     kept = [device.capture_request() for _ in range(4)]
     with pytest.raises(DeviceError, match="no frame for 2 s; check the ribbon cable"):

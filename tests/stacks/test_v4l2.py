@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from machine.stacks import DEVICE, SHARE, in_guest, live_settings, needs_emulated
+from machine.stacks import DEVICE, SHARE, in_guest, live_settings, needs_emulated, read_frames
 from running import rig_processes
 from running.rig_processes import Processes, next_message, start_rig
 
@@ -28,7 +28,6 @@ from rhot.errors import ConfigError, DeviceError
 from rhot.messages import HandPose
 from rhot.rig import load_rig
 from rhot.rig.config import CameraConfig
-from rhot_capture.sources.frame import Frame
 from rhot_capture.sources.v4l2 import V4l2Source
 
 pytestmark = pytest.mark.stacks
@@ -89,15 +88,6 @@ def opened(device: str, **config: Any) -> Iterator[V4l2Source]:
         source.close()
 
 
-def read(source: V4l2Source, count: int) -> list[Frame]:
-    frames = []
-    for _ in range(count):
-        frame = source.read()
-        assert frame is not None
-        frames.append(frame)
-    return frames
-
-
 def control(device: str, name: str) -> int:
     done = subprocess.run(["v4l2-ctl", "-d", device, "-C", name], capture_output=True, text=True, check=True)
     return int(done.stdout.split(":")[1].split()[0])
@@ -110,7 +100,7 @@ def set_control(device: str, name: str, value: int) -> None:
 def test_pictures_come_with_the_drivers_times_and_numbers(device: str) -> None:
     with opened(device) as source:
         begun_ns = time.monotonic_ns()
-        frames = read(source, 12)
+        frames = read_frames(source, 12)
     assert all(frame.image.shape == (360, 640, 3) and frame.image.dtype == np.uint8 for frame in frames)
     steps_s = 1e-9 * np.diff([frame.t_first_row_ns for frame in frames])
     numbers = np.diff([frame.index for frame in frames])
@@ -124,7 +114,7 @@ def test_pictures_come_with_the_drivers_times_and_numbers(device: str) -> None:
 def test_a_size_that_the_camera_has_is_chosen(device: str, size: tuple[int, int]) -> None:
     needs_emulated("its sizes are not known")
     with opened(device, width=size[0], height=size[1], rate_hz=10.0) as source:
-        assert read(source, 1)[0].image.shape == (size[1], size[0], 3)
+        assert read_frames(source, 1)[0].image.shape == (size[1], size[0], 3)
 
 
 def test_a_size_that_it_lacks_is_refused_with_the_one_that_it_gives(device: str) -> None:
@@ -181,7 +171,7 @@ def test_the_meaning_of_a_timestamp_is_the_drivers_own(device: str, stamp: int, 
     with opened(device, readout_s=0.012, exposure_s=0.010) as source:
         reported = []
         for _ in range(5):
-            frame = read(source, 1)[0]
+            frame = read_frames(source, 1)[0]
             stamp_s = 1e-3 * source._capture.get(cv2.CAP_PROP_POS_MSEC)
             reported.append(stamp_s - 1e-9 * frame.t_first_row_ns)
     assert abs(float(np.median(reported)) - late_s) < 1e-4
@@ -191,7 +181,7 @@ def test_lost_frames_leave_a_gap_in_the_numbers(device: str) -> None:
     needs_emulated("it loses none when asked to")
     with opened(device, rate_hz=30.0) as source:
         set_control(device, "percentage_of_dropped_buffers", 40)
-        frames = read(source, 15)
+        frames = read_frames(source, 15)
         set_control(device, "percentage_of_dropped_buffers", 0)
     numbers, times_s = [frame.index for frame in frames], [1e-9 * frame.t_first_row_ns for frame in frames]
     assert max(np.diff(numbers)) >= 2
@@ -209,12 +199,12 @@ def test_a_camera_that_another_program_uses_is_refused(device: str) -> None:
         time.sleep(2.0)
         reason = r"camera left: .*(in use by another program|another program uses it)"
         with pytest.raises(DeviceError, match=reason), opened(device) as source:
-            read(source, 1)
+            read_frames(source, 1)
     finally:
         holder.kill()
         holder.wait()
     with opened(device) as source:
-        read(source, 2)
+        read_frames(source, 2)
 
 
 def test_an_unplugged_camera_is_noticed_and_found_under_another_number() -> None:
@@ -227,10 +217,10 @@ def test_an_unplugged_camera_is_noticed_and_found_under_another_number() -> None
     by_name.symlink_to("/dev/video0")
     source = V4l2Source("left", camera_of(str(by_name)))
     source.open(0)
-    read(source, 2)
+    read_frames(source, 2)
     set_control("/dev/video0", "disconnect", 1)
     with pytest.raises(DeviceError, match=r"stopped delivering \d\.\d s ago; unplugged"):
-        read(source, 200)
+        read_frames(source, 200)
     source.close()
     unload_vivid()
     with pytest.raises(DeviceError, match="is it plugged in"):
@@ -240,7 +230,7 @@ def test_an_unplugged_camera_is_noticed_and_found_under_another_number() -> None
     by_name.unlink()
     by_name.symlink_to("/dev/video6")
     source.open(0)
-    read(source, 2)
+    read_frames(source, 2)
     source.close()
     unload_vivid()
 
@@ -251,7 +241,7 @@ def test_two_cameras_stream_at_once() -> None:
     load_vivid("n_devs=2", "vid_cap_nr=0,1")
     wait_for("/dev/video1")
     with opened("/dev/video0", rate_hz=10.0) as left, opened("/dev/video1", rate_hz=10.0) as right:
-        both = [(read(left, 1)[0], read(right, 1)[0]) for _ in range(5)]
+        both = [(read_frames(left, 1)[0], read_frames(right, 1)[0]) for _ in range(5)]
     assert all(a.t_first_row_ns > b.t_first_row_ns for (b, _), (a, _) in itertools.pairwise(both))
     unload_vivid()
 

@@ -76,6 +76,11 @@ class CameraConfig(FileModel):
             raise ValueError(f"{twice[0]} is set twice, here and in v4l2_controls; keep one")
         return self
 
+    @property
+    def video_path(self) -> str:
+        """Path of a V4L2 device, which may be given by its number."""
+        return f"/dev/video{self.device}" if str(self.device).isdecimal() else str(self.device)
+
 
 class HandConfig(FileModel):
     """The hand until it is calibrated.

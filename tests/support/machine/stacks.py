@@ -9,6 +9,7 @@ import pytest
 
 from rhot.rig.config import CameraConfig
 from rhot_capture.settings import CameraSettings
+from rhot_capture.sources.frame import Frame, Source
 
 DEVICE = os.environ.get("RHOT_DEVICE", "")
 """The device to test: `realsense`, `openvr`, `picamera2`, or the path of a camera or a sensor; empty: none is here."""
@@ -27,6 +28,16 @@ def in_guest() -> None:
     """Skip a test that loads kernel modules, outside the machine that `make stacks` emulates."""
     if not os.environ.get("RHOT_GUEST"):
         pytest.skip("runs in the machine that `make stacks` emulates, or with RHOT_DEVICE on a real device")
+
+
+def read_frames(source: Source, count: int) -> list[Frame]:
+    """Return the next frames of a camera, each of which has to come."""
+    frames = []
+    for _ in range(count):
+        frame = source.read()
+        assert frame is not None
+        frames.append(frame)
+    return frames
 
 
 def live_settings(camera: CameraConfig, **changes: float) -> CameraSettings:

@@ -263,8 +263,7 @@ def _check_views(rig: Rig) -> Iterator[Finding]:
         if camera.source != "v4l2":
             # Cameras of a Pi are numbered on each Pi; a recording may serve two.
             continue
-        device = str(camera.device).removeprefix("/dev/video") if isinstance(camera.device, str) else str(camera.device)
-        other = seen.setdefault((camera.source, os.path.realpath(device) if "/" in device else device), name)
+        other = seen.setdefault((camera.source, os.path.realpath(camera.video_path)), name)
         if other != name:
             yield Finding(
                 "warn",
@@ -332,7 +331,7 @@ def _check_sources(rig: Rig) -> Iterator[Finding]:
     """Look for the files and devices that cameras and objects need on this machine."""
     for name, camera in rig.config.cameras.items():
         if camera.source == "v4l2":
-            device = f"/dev/video{camera.device}" if isinstance(camera.device, int) else camera.device
+            device = camera.video_path
             if not Path(device).exists():
                 there = sorted(map(str, Path("/dev/v4l/by-id").glob("*-video-index0")))
                 yield Finding(

@@ -32,8 +32,7 @@ def check_packages(rig: Rig | None, root: Path = Path("/")) -> Iterator[Finding]
     if rig is None:
         return
     config, feet = rig.config, rig.config.feet
-    local = [f"/dev/video{c.device}" if isinstance(c.device, int) else c.device
-             for c in config.cameras.values() if c.source == "v4l2"]  # fmt: skip
+    local = [camera.video_path for camera in config.cameras.values() if camera.source == "v4l2"]
     if local:
         if shutil.which("v4l2-ctl") is None:
             yield Finding("note", "v4l2-ctl, which lists a camera's modes, is missing", "sudo apt install v4l-utils")
@@ -44,8 +43,7 @@ def check_packages(rig: Rig | None, root: Path = Path("/")) -> Iterator[Finding]
         return
     if feet.camera.source == "realsense":
         yield from _check_realsense(root)
-    ports = [foot.imu.device for foot in (feet.left, feet.right)
-             if foot is not None and foot.imu is not None and foot.imu.source == "serial"]  # fmt: skip
+    ports = [foot.imu.device for foot in feet.feet.values() if foot.imu is not None and foot.imu.source == "serial"]
     if ports:
         if not _has_module("serial"):
             yield Finding("bad", "pyserial, for the ankle sensors, is missing", "pip install 'rhot[feet]'")

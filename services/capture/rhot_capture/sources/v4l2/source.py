@@ -391,8 +391,7 @@ class V4l2Source:
         return refused
 
     def _ask_for_stamps(self) -> None:
-        device = self._device()
-        path = f"/dev/video{device}" if isinstance(device, int) else device
+        path = self._camera.video_path
         try:
             self._buffers = self._query(path)
         except OSError as error:
