@@ -40,8 +40,12 @@ async def run_rhot(*arguments: str) -> tuple[int, str, str]:
 
 
 @pytest.mark.real_time
+@pytest.mark.parametrize("simulated_rig", ["still"], indirect=True)
 async def test_any_order_any_death(processes: Processes, rig_bus: Bus) -> None:
-    """Services find each other whatever comes first; each may be killed and the hand is back within three seconds."""
+    """Services find each other whatever comes first; each may be killed and the hand is back within three seconds.
+
+    The hand is still: of one that grasps, fingers are hidden for longer than that.
+    """
     for name in ("ik", "capture right", "truth", "objects"):
         await processes.start(name)
     await asyncio.sleep(1.0)

@@ -212,13 +212,14 @@ class CaptureService:
     name = "capture"
     owns_clock = False
 
-    def __init__(self, camera: str, rig: Rig, clock: NodeClock) -> None:
+    def __init__(self, camera: str, rig: Rig, clock: NodeClock, source: Source | None = None) -> None:
         """Prepare detection.
 
         Args:
             camera: name of the camera in `rig.toml`.
             rig: the loaded rig; without colours no marker is detected, so that colours can be calibrated.
             clock: the node's clock, on which frames are timed.
+            source: of the first session, where it is made already; not yet opened.
 
         Raises:
             ConfigError: no such camera.
@@ -230,6 +231,7 @@ class CaptureService:
         self.instance = camera
         self._rig = rig
         self._clock = clock
+        self._ahead = source
         self._rate_hz = config.rate_hz
         self._size = (config.width, config.height)
         self._worn = worn_paints(rig.config.markers)
@@ -313,8 +315,15 @@ class CaptureService:
 
     async def run(self, node: Node, start: Control) -> None:
         """Open the camera, start at the start time (or join late) and publish until cancelled."""
+        before = self._rig
         self._follow_rig_file()
-        source = open_source(self.instance, self._rig, self._clock)
+        source = self._ahead
+        self._ahead = None
+        if source is not None and self._rig.config != before.config:
+            source.close()
+            source = None
+        if source is None:
+            source = open_source(self.instance, self._rig, self._clock)
         start_ns = node.node_clock.now_ns() + start.start_t_ns - node.clock.now_ns()
         grabber = grab(source, self.instance)
 

@@ -34,14 +34,18 @@ _NICE: Final = 5
 _STOP_S: Final = 0.5
 
 
-def keep_out_of_the_way() -> None:
-    """Make this process a drawing child: lower priority, one thread, deaf to Ctrl-C, which is for the parent."""
+def become_drawing_child() -> None:
+    """Make this process a drawing child: one thread, deaf to Ctrl-C, which is for the parent."""
     import cv2  # noqa: PLC0415  # the parent may do without
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
+
+
+def keep_out_of_the_way() -> None:
+    """Lower this process's priority, once it has loaded: until then a camera is waited for."""
     with contextlib.suppress(OSError):
         os.nice(_NICE)
-    cv2.setNumThreads(1)
 
 
 def end(child: subprocess.Popen[bytes]) -> None:
@@ -159,12 +163,13 @@ def serve(rig_path: Path, camera: str, file: int) -> None:
     from rhot_sim.rig.folder import true_cameras  # noqa: PLC0415
     from rhot_sim.world.world import World  # noqa: PLC0415
 
-    keep_out_of_the_way()
+    become_drawing_child()
     rig = load_rig(rig_path)
     model: CameraModel = true_cameras(rig)[camera]
     index = list(rig.config.cameras).index(camera)
     renderer = Renderer(model, World.from_rig(rig), rig.config.sim, rig.config.cameras[camera], index)
     ring = _ring(file, model.width, model.height)
+    keep_out_of_the_way()
     number = 0
     with contextlib.suppress(BrokenPipeError):
         _say_done()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import cv2
@@ -33,17 +34,27 @@ CORNER_SIGMA_PX: Final = 0.1
 """Noise of the chessboard corners to which the poses are then fitted."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SimulatedCalibration:
     """Geometry of the simulated cameras.
 
     Attributes:
         truth: what the pictures are rendered with.
-        found: the same with a calibration's errors: what the tracker works with.
+        found_intrinsics: K (3, 3) and distortion (5,) of each camera, with a calibration's errors.
+        seed: of the world.
     """
 
     truth: CamerasFile
-    found: CamerasFile
+    found_intrinsics: Mapping[str, tuple[FloatArray, FloatArray]]
+    seed: int
+
+    @cached_property
+    def found(self) -> CamerasFile:
+        """The geometry that the tracker works with. Renderers, which need only the truth, start sooner without it."""
+        found = _poses_found(self.truth.cameras, self.found_intrinsics, self.seed)
+        stated = _quality(self.truth.cameras, found, self.seed)
+        quality = {"source": "simulated", "seed": self.seed, "errors": "as of a calibration", **stated}
+        return CamerasFile(date=today(), quality=quality, cameras=found)
 
 
 def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) -> SimulatedCalibration:
@@ -66,13 +77,8 @@ def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) ->
         T = _pose(index, rng)
         truth[name] = camera_entry(CameraModel.from_arrays(camera.width, camera.height, K, distortion, T))
         found_intrinsics[name] = _intrinsics_found(K, distortion, rng)
-    found = _poses_found(truth, found_intrinsics, seed)
-    note = {"source": "simulated", "seed": seed}
-    quality = {**note, "errors": "as of a calibration", **_quality(truth, found, seed)}
-    return SimulatedCalibration(
-        truth=CamerasFile(date=today(), quality={**note, "errors": "none"}, cameras=truth),
-        found=CamerasFile(date=today(), quality=quality, cameras=found),
-    )
+    quality = {"source": "simulated", "seed": seed, "errors": "none"}
+    return SimulatedCalibration(CamerasFile(date=today(), quality=quality, cameras=truth), found_intrinsics, seed)
 
 
 def _intrinsics_found(K: FloatArray, distortion: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rhot.errors import DeviceError
 from rhot.rig import Rig, load_rig
 from rhot_feet.frames import ColorImage, DepthImage
-from rhot_sim.rendering.render_process import end, keep_out_of_the_way
+from rhot_sim.rendering.render_process import become_drawing_child, end, keep_out_of_the_way
 from rhot_sim.walker.pictures.camera import FrameTiming
 from rhot_sim.walker.world import WalkerWorld
 
@@ -82,8 +82,9 @@ class DrawProcess:
 
 def serve(rig_path: Path) -> None:
     """Draw whatever standard input asks for until it closes."""
-    keep_out_of_the_way()
+    become_drawing_child()
     world = WalkerWorld.from_rig(load_rig(rig_path))
+    keep_out_of_the_way()
     out = sys.stdout.buffer
     with contextlib.suppress(BrokenPipeError):
         while len(request := sys.stdin.buffer.read(_REQUEST.size)) == _REQUEST.size:
