@@ -24,8 +24,9 @@ from rhot.clock import LocalRigClock, SystemClock
 from rhot.messages import Control, HandPose, ObjectPose, Space
 from rhot.rig import BridgeConfig, BusConfig
 from rhot.service.clock_sync import serve_clock
+from rhot_bridge.clock_map import STEP_NS, TIME_CONSTANT_NS, ClockMap
 from rhot_bridge.scene import Body, Thing, tracked
-from rhot_bridge.targets.lsl import STEP_NS, TIME_CONSTANT_NS, ClockMap, channels_of, joints_of, sample_of
+from rhot_bridge.targets.lsl import channels_of, joints_of, sample_of
 
 _LOOPBACK = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n[log]\nlevel = -2\n"
 """Ask this machine alone, port by port: multicast is for real networks."""

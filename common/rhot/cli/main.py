@@ -22,6 +22,7 @@ _COMMANDS: Final = {
             "rhot_tools.operate.doctor:doctor",
         ),
         "calibrate": LazyCommand("Calibrate a part of the rig.", "rhot.cli.main:calibrate"),
+        "openxr": LazyCommand("Give OpenXR programs the hands: install the layer, look at it.", extra="bridge"),
         "keys": LazyCommand("Secure the bus: certificates for machines and people.", "rhot_tools.keys.command:keys"),
     },
     "Run": {

@@ -16,7 +16,7 @@ from rhot.rig.file_model import FileModel, Positive
 
 # What people write in `rig.toml` about bridges to other programs.
 
-BridgeTarget = Literal["json", "vmc", "vrchat", "vmt", "lsl", "ros2"]
+BridgeTarget = Literal["json", "vmc", "vrchat", "vmt", "lsl", "openxr", "ros2"]
 
 
 def _resolvable(host: str) -> str:
@@ -54,6 +54,7 @@ class BridgeConfig(FileModel):
         height_m: of `vmc` with `arms`: of the person, standing, without shoes; arms follow from it.
         allow_origins: web pages that may read `json` by WebSocket, such as `https://example.org`; those of this
             machine may, and no others.
+        offset: of `openxr`: moves all hands in the stage by x, y, z, metres, after a turn about the vertical, degrees.
     """
 
     target: BridgeTarget
@@ -69,6 +70,7 @@ class BridgeConfig(FileModel):
     body: Literal["fingers", "arms"] = "fingers"
     height_m: Annotated[float, Field(ge=0.5, le=2.5)] = 1.70
     allow_origins: Annotated[tuple[str, ...], Field(max_length=16)] = ()
+    offset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 # What people write in `rig.toml` about the bus.

@@ -60,6 +60,12 @@ from rhot_bridge.targets import TARGETS, TARGETS_OF
     metavar="URL",
     help="json only: a web page that may read it, such as https://example.org. May be repeated.",
 )
+@click.option(
+    "--offset",
+    type=(FiniteRange(-10.0, 10.0), FiniteRange(-10.0, 10.0), FiniteRange(-10.0, 10.0), FiniteRange(-360.0, 360.0)),
+    metavar="X Y Z TURN",
+    help="openxr only: move all hands by x, y, z metres after a turn about the vertical, degrees.  [default: 0 0 0 0]",
+)
 @rig_option
 @bus_options
 def bridge(target: str | None, rig_path: Path, connect: tuple[str, ...], namespace: str | None, **settings: Any) -> int:

@@ -135,6 +135,10 @@ class SampleOutput(Output, Protocol):
         """Set the rig clock that samples are timed on."""
         ...
 
+    def use_config(self, config: BridgeConfig) -> None:
+        """Follow settings that change while the bridge runs."""
+        ...
+
     def send_sample(self, key: str, tracked: Tracked) -> bool:
         """Send a sample in the output's axes; return whether it was sent."""
         ...

@@ -83,6 +83,8 @@ class BridgeService:
         check_settings(config)
         self._config = self._newest.config = config
         self._pace = Pace(config.rate_hz, self._output.triggers)
+        if self._recorder is not None:
+            self._recorder.use_config(config)
 
     def attach(self, node: Node) -> None:
         """Join the feed."""

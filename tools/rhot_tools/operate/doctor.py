@@ -43,6 +43,7 @@ from rhot.rig.folder import (
 )
 from rhot.rig.sections import MeshConfig
 from rhot.text import as_argument
+from rhot_bridge.openxr_layer import chain
 from rhot_tools.operate.findings import Finding, check_bus, is_local
 from rhot_tools.operate.packages import check_packages
 
@@ -190,7 +191,15 @@ def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:
         *check_stage(rig),
         *_check_sources(rig),
         *check_bus(rig),
+        *_check_openxr(rig),
     ]
+
+
+def _check_openxr(rig: Rig) -> Iterator[Finding]:
+    """Look at the way to OpenXR programs, where the rig names a bridge to them."""
+    if any(bridge.target == "openxr" for bridge in rig.config.bridges.values()):
+        for step in chain():
+            yield Finding("ok" if step.holds else "warn", f"OpenXR: {step.found}", "" if step.holds else step.remedy)
 
 
 def _tracked(rig: Rig) -> str:

@@ -69,11 +69,14 @@ TARGETS: Final[Mapping[str, TargetKind]] = {
     "lsl": TargetKind(
         "Lab Streaming Layer: LabRecorder and others, beside EEG, gaze, forces.", "rhot_bridge.targets.lsl", extra="lsl"
     ),
+    "openxr": TargetKind(
+        "Native VR programs, by the OpenXR layer that `rhot openxr install` registers.", "rhot_bridge.targets.openxr"
+    ),
     "ros2": TargetKind("ROS 2, by rmw_zenoh: tf, PoseArray, PoseStamped.", "rhot_bridge.targets.ros2", 7447, "ros2"),
 }
 
-_BY_NETWORK: Final = frozenset(TARGETS) - {"lsl"}
-"""All except LSL, which discovers readers by itself and sends every sample."""
+_BY_NETWORK: Final = frozenset(TARGETS) - {"lsl", "openxr"}
+"""All except LSL, which discovers readers by itself, and OpenXR's memory; both get every sample."""
 TARGETS_OF: Final[Mapping[str, frozenset[str]]] = {
     "host": _BY_NETWORK,
     "port": _BY_NETWORK,
@@ -83,5 +86,6 @@ TARGETS_OF: Final[Mapping[str, frozenset[str]]] = {
     "allow_origins": frozenset({"json"}),
     "body": frozenset({"vmc"}),
     "height_m": frozenset({"vmc"}),
+    "offset": frozenset({"openxr"}),
 }
 """Targets of each setting that does not apply to all of them."""

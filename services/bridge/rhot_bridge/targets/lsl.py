@@ -1,7 +1,7 @@
 """LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
 
 Every published sample is sent once, with its own time: the rig time, mapped to LSL's `local_clock()`
-(`rhot_bridge.targets.lsl`), never the time of sending. So a recording is synchronous with EEG, gaze or force plates,
+(`rhot_bridge.clock_map`), never the time of sending. So a recording is synchronous with EEG, gaze or force plates,
 whatever the tracker's latency is.
 
 Channels: see `rhot_bridge.targets.lsl`. The rate is irregular.
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS
 from rhot.clock import RigClock
 from rhot.errors import ConfigError
 from rhot.rig import BridgeConfig
+from rhot_bridge.clock_map import ClockMap
 from rhot_bridge.output import Opened
 from rhot_bridge.scene import Axes, Body, BridgedHand, Scene, Tracked
 
@@ -81,60 +81,6 @@ def joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
     return tuple(BODY_PARENTS) if isinstance(tracked, Body) else (name,)
 
 
-# Maps the rig clock to another clock of this machine, for programs with their own clock.
-#
-# With r and l the readings of both clocks at one moment, o = l − r is their offset. A sample of rig time s has the
-# time
-#
-#     s + ô
-#
-# on the other clock. r is read between l₀ and l₁, so o lies between l₀ − r and l₁ − r. If ô lies in this interval, it
-# is kept, so that an interruption of the process between two readings does not change time stamps. Otherwise ô
-# approaches the nearer bound by 1 − exp(−Δt/τ) of the difference after Δt: the rig clock of this machine is itself an
-# estimate that changes by microseconds, and a recording must not jump with it. A difference of more than `STEP_NS`
-# means that a clock was set; ô then follows at once.
-
-TIME_CONSTANT_NS: Final = 10_000_000_000
-"""τ. A rig clock that drifts by 40 ppm against this machine's clock leaves an error of 0.4 ms; see `SimConfig`."""
-STEP_NS: Final = 20_000_000
-"""Ten times the uncertainty at which `rhot doctor` warns about a clock."""
-
-
-class ClockMap:
-    """The smoothed offset between two clocks; all times are integer nanoseconds."""
-
-    def __init__(self) -> None:
-        self._offset_ns: float | None = None
-        self._read_ns = 0
-
-    @property
-    def ready(self) -> bool:
-        """Whether both clocks have been read."""
-        return self._offset_ns is not None
-
-    def read(self, rig_ns: int, before_ns: int, after_ns: int) -> None:
-        """Update the offset with a reading of the rig clock between two readings of the other clock."""
-        local_ns = (before_ns + after_ns) // 2
-        last = float(local_ns - rig_ns) if self._offset_ns is None else self._offset_ns
-        nearest = min(max(last, before_ns - rig_ns), after_ns - rig_ns)
-        if abs(nearest - last) > STEP_NS:
-            self._offset_ns = float(local_ns - rig_ns)
-        else:
-            share = 1.0 - math.exp(-max(0, local_ns - self._read_ns) / TIME_CONSTANT_NS)
-            self._offset_ns = last + share * (nearest - last)
-        self._read_ns = local_ns
-
-    def to_local_ns(self, rig_ns: int) -> int:
-        """Return the other clock's time of a rig time.
-
-        Raises:
-            ValueError: no clock has been read yet.
-        """
-        if self._offset_ns is None:
-            raise ValueError("the clocks have not been read yet")
-        return rig_ns + round(self._offset_ns)
-
-
 # LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
 
 try:
@@ -149,7 +95,6 @@ logger = logging.getLogger(__name__)
 
 MOST_STREAMS: Final = 64
 """Largest number of streams; a rig has about ten."""
-_FIRST_READINGS: Final = 5
 _RETRY_S: Final = 5.0
 """Pause before a stream that could not be opened is opened again; chosen."""
 
@@ -171,7 +116,7 @@ class LslOutput:
     def __init__(self, config: BridgeConfig) -> None:
         """Prepare; uses `axes` and `predicted` of the configuration."""
         self.axes: Axes = config.axes
-        self._predicted = config.predicted == "send"
+        self.use_config(config)
         self._clock: RigClock | None = None
         self._map = ClockMap()
         self._outlets: Opened[_Stream] = Opened(MOST_STREAMS)
@@ -185,6 +130,10 @@ class LslOutput:
     def use_clock(self, clock: RigClock) -> None:
         """Set the rig clock that samples are timed on."""
         self._clock = clock
+
+    def use_config(self, config: BridgeConfig) -> None:
+        """Follow changed settings."""
+        self._predicted = config.predicted == "send"
 
     async def open(self) -> None:
         """Do nothing: streams are opened with their first samples."""
@@ -207,20 +156,10 @@ class LslOutput:
             self._offer(name, joints_of(name, tracked))
             return False
         # Compared for equality, because the rig clock may be set back.
-        if tracked.t_ns == stream.sent_ns or not self._read_clocks():
+        if tracked.t_ns == stream.sent_ns or not self._map.follow(self._clock, _local_ns):
             return False
         stream.sent_ns = tracked.t_ns
         stream.outlet.push_sample(sample_of(tracked).tolist(), self._map.to_local_ns(tracked.t_ns) / 1e9)
-        return True
-
-    def _read_clocks(self) -> bool:
-        clock = self._clock
-        if clock is None or not clock.ready:
-            return False
-        # The first reading is not smoothed: the shortest of several is used, which contains no interruption.
-        readings = [_read(clock) for _ in range(1 if self._map.ready else _FIRST_READINGS)]
-        rig_ns, before_ns, after_ns = min(readings, key=lambda reading: reading[2] - reading[1])
-        self._map.read(rig_ns, before_ns, after_ns)
         return True
 
     def _offer(self, name: str, joints: tuple[str, ...]) -> None:
@@ -257,10 +196,9 @@ def _forget(_: _Stream) -> None:
     """Do nothing: dropping the last reference, on the worker thread, closes the stream."""
 
 
-def _read(clock: RigClock) -> tuple[int, int, int]:
-    """Return a reading of the rig clock, and of LSL's clock before and after it, nanoseconds."""
-    before_s, rig_ns, after_s = pylsl.local_clock(), clock.now_ns(), pylsl.local_clock()
-    return rig_ns, round(1e9 * before_s), round(1e9 * after_s)
+def _local_ns() -> int:
+    """Return LSL's clock, nanoseconds."""
+    return round(1e9 * float(pylsl.local_clock()))
 
 
 def make_output(config: BridgeConfig) -> LslOutput:

@@ -1,0 +1,178 @@
+"""An OpenXR program with hands, on the loader and a runtime without display; it knows nothing of who tracks them.
+
+Usage: reader.py [--no-hands]. Says what it found, then answers each line of standard input, both as JSON:
+`{"do": "locate", "side": …, "space": …, "ahead_ms": …}`, `{"do": "time", "space": …, "calls": …}`, `{"do": "bad"}`.
+"""
+
+import ctypes
+import json
+import sys
+import time
+
+import numpy as np
+import xr
+
+JOINTS = 26
+HANDS = ["XR_EXT_hand_tracking", "XR_EXT_hand_tracking_data_source", "XR_FB_hand_tracking_aim"]
+
+
+class Timespec(ctypes.Structure):
+    _fields_ = [("s", ctypes.c_long), ("ns", ctypes.c_long)]
+
+
+class Program:
+    def __init__(self, hands):
+        self.offered = {str(p.extension_name.decode()) for p in xr.enumerate_instance_extension_properties()}
+        enabled = ["XR_MND_headless", "XR_KHR_convert_timespec_time", *(HANDS if hands else [])]
+        about = xr.ApplicationInfo("reader", 1, "none", 0, xr.Version(1, 0, 0))
+        self.instance = xr.create_instance(xr.InstanceCreateInfo(application_info=about, enabled_extension_names=enabled))
+        self.system = xr.get_system(self.instance, xr.SystemGetInfo(xr.FormFactor.HEAD_MOUNTED_DISPLAY))
+        self.session = xr.create_session(self.instance, xr.SessionCreateInfo(system_id=self.system, next=None))
+        self.begin()
+        kinds = xr.ReferenceSpaceType
+        self.spaces = {
+            name: xr.create_reference_space(
+                self.session,
+                xr.ReferenceSpaceCreateInfo(getattr(kinds, name), pose_in_reference_space=xr.Posef()),
+            )
+            for name in ("STAGE", "LOCAL", "VIEW")
+        }
+
+    def begin(self):
+        while True:
+            try:
+                event = xr.poll_event(self.instance)
+            except xr.EventUnavailable:
+                time.sleep(0.01)
+                continue
+            if xr.StructureType(event.type) == xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED:
+                changed = ctypes.cast(ctypes.byref(event), ctypes.POINTER(xr.EventDataSessionStateChanged)).contents
+                if xr.SessionState(changed.state) == xr.SessionState.READY:
+                    xr.begin_session(self.session, xr.SessionBeginInfo(xr.ViewConfigurationType.PRIMARY_STEREO))
+                    return
+
+    def function(self, name):
+        return ctypes.cast(xr.get_instance_proc_addr(self.instance, name), getattr(xr, "PFN_" + name))
+
+    def supports(self):
+        hands = xr.SystemHandTrackingPropertiesEXT()
+        properties = xr.SystemProperties(next=ctypes.cast(ctypes.pointer(hands), ctypes.c_void_p))
+        get = self.function("xrGetSystemProperties")
+        xr.check_result(xr.Result(get(self.instance, self.system, ctypes.byref(properties))))
+        return bool(hands.supports_hand_tracking)
+
+    def make_trackers(self):
+        create = self.function("xrCreateHandTrackerEXT")
+        self.locate_joints = self.function("xrLocateHandJointsEXT")
+        self.convert = self.function("xrConvertTimespecTimeToTimeKHR")
+        self.trackers = {}
+        for side in ("LEFT", "RIGHT"):
+            tracker = xr.HandTrackerEXT()
+            info = xr.HandTrackerCreateInfoEXT(getattr(xr.HandEXT, side), xr.HandJointSetEXT.DEFAULT)
+            xr.check_result(xr.Result(create(self.session, ctypes.byref(info), ctypes.byref(tracker))))
+            self.trackers[side.lower()] = tracker
+        self.joints = (xr.HandJointLocationEXT * JOINTS)()
+        self.moving = (xr.HandJointVelocityEXT * JOINTS)()
+        self.source = xr.HandTrackingDataSourceStateEXT()
+        self.aim = xr.HandTrackingAimStateFB(next=ctypes.cast(ctypes.pointer(self.source), ctypes.c_void_p))
+        self.velocities = xr.HandJointVelocitiesEXT(
+            JOINTS, self.moving, next=ctypes.cast(ctypes.pointer(self.aim), ctypes.c_void_p)
+        )
+        self.out = xr.HandJointLocationsEXT(
+            joint_count=JOINTS,
+            joint_locations=self.joints,
+            next=ctypes.cast(ctypes.pointer(self.velocities), ctypes.c_void_p),
+        )
+
+    def xr_time(self, ns):
+        spec, out = Timespec(ns // 10**9, ns % 10**9), xr.Time()
+        pointer = ctypes.cast(ctypes.byref(spec), self.convert.argtypes[1])
+        xr.check_result(xr.Result(self.convert(self.instance, pointer, ctypes.byref(out))))
+        return out
+
+    def locate(self, side, space, ahead_ms):
+        ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC) + round(1e6 * ahead_ms)
+        info = xr.HandJointsLocateInfoEXT(base_space=self.spaces[space], time=self.xr_time(ns))
+        result = self.locate_joints(self.trackers[side], ctypes.byref(info), ctypes.byref(self.out))
+        said = {"result": xr.Result(result).name, "active": bool(self.out.is_active), "t_ns": ns}
+        if not self.out.is_active:
+            return {**said, "flags": sorted({j.location_flags for j in self.joints})}
+        vectors = [(v.linear_velocity, v.angular_velocity) for v in self.moving]
+        return {
+            **said,
+            "flags": sorted({j.location_flags for j in self.joints}),
+            "positions": [list(xyz(j.pose.position)) for j in self.joints],
+            "orientations": [[*xyz(j.pose.orientation), j.pose.orientation.w] for j in self.joints],
+            "radii": [j.radius for j in self.joints],
+            "velocity_flags": sorted({v.velocity_flags for v in self.moving}),
+            "linear": [list(xyz(v)) for v, _ in vectors],
+            "angular": [list(xyz(w)) for _, w in vectors],
+            "source": [bool(self.source.is_active), int(self.source.data_source)],
+            "aim": [int(self.aim.status), self.aim.pinch_strength_index],
+        }
+
+    def timed(self, space, calls):
+        now = self.xr_time(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+        info = ctypes.byref(xr.HandJointsLocateInfoEXT(base_space=self.spaces[space], time=now))
+        out, tracker, locate = ctypes.byref(self.out), self.trackers["right"], self.locate_joints
+        located, place = self.function("xrLocateSpace"), ctypes.byref(xr.SpaceLocation())
+        stage, base = self.spaces["STAGE"], self.spaces[space]
+        took = np.zeros((calls, 2))
+        for row in took:
+            t0 = time.perf_counter_ns()
+            locate(tracker, info, out)
+            t1 = time.perf_counter_ns()
+            located(stage, base, now, place)
+            row[:] = t1 - t0, time.perf_counter_ns() - t1
+        median = np.median(took, axis=0) / 1e3
+        return {"joints_us": median[0], "space_us": median[1], "p99_us": float(np.percentile(took[:, 0], 99)) / 1e3}
+
+    def bad(self):
+        """Mistakes that a program may make, and what it is told."""
+        now = self.xr_time(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+        info = xr.HandJointsLocateInfoEXT(base_space=self.spaces["STAGE"], time=now)
+        tracker = self.trackers["right"]
+        few = xr.HandJointLocationsEXT(joint_count=3, joint_locations=self.joints)
+        few.joint_count = 3
+        never = xr.HandJointsLocateInfoEXT(base_space=self.spaces["STAGE"], time=0)
+        created = xr.HandTrackerEXT()
+        neither = xr.HandTrackerCreateInfoEXT(xr.HandEXT(1), xr.HandJointSetEXT.DEFAULT)
+        neither._hand = 7
+        create, destroy = self.function("xrCreateHandTrackerEXT"), self.function("xrDestroyHandTrackerEXT")
+        calls = {
+            "few": self.locate_joints(tracker, ctypes.byref(info), ctypes.byref(few)),
+            "never": self.locate_joints(tracker, ctypes.byref(never), ctypes.byref(self.out)),
+            "hand": create(self.session, ctypes.byref(neither), ctypes.byref(created)),
+            "left": destroy(self.trackers["left"]),
+            "again": destroy(self.trackers["left"]),
+        }
+        return {name: xr.Result(result).name for name, result in calls.items()}
+
+
+def xyz(vector):
+    return vector.x, vector.y, vector.z
+
+
+def main():
+    hands = "--no-hands" not in sys.argv
+    program = Program(hands)
+    said = {"runtime": xr.get_instance_properties(program.instance).runtime_name.decode(), "supports": program.supports()}
+    said["offered"] = [name for name in HANDS if name in program.offered]
+    if hands:
+        program.make_trackers()
+    else:
+        try:
+            program.function("xrLocateHandJointsEXT")
+            said["function"] = "there"
+        except xr.FunctionUnsupportedError:
+            said["function"] = "unsupported"
+    print(json.dumps(said), flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        do = {"locate": program.locate, "time": program.timed, "bad": program.bad}[request.pop("do")]
+        print(json.dumps(do(**request)), flush=True)
+    xr.destroy_session(program.session)
+    xr.destroy_instance(program.instance)
+
+
+main()
