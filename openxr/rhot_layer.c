@@ -633,25 +633,6 @@ static XRAPI_ATTR XrResult XRAPI_CALL get_proc(XrInstance instance, const char *
 	return layer.next(instance, name, function);
 }
 
-/* Which of some extensions those below this layer have. */
-static void ask_runtime(PFN_xrGetInstanceProcAddr next, const char *const names[], bool has[], int count)
-{
-	PFN_xrEnumerateInstanceExtensionProperties enumerate = NULL;
-	uint32_t known = 0;
-	memset(has, 0, (size_t)count * sizeof *has);
-	if (XR_FAILED(next(XR_NULL_HANDLE, "xrEnumerateInstanceExtensionProperties", (PFN_xrVoidFunction *)&enumerate)) || !enumerate ||
-	    XR_FAILED(enumerate(NULL, 0, &known, NULL)) || !known)
-		return;
-	XrExtensionProperties *properties = calloc(known, sizeof *properties);
-	for (uint32_t i = 0; properties && i < known; i++)
-		properties[i].type = XR_TYPE_EXTENSION_PROPERTIES;
-	if (properties && XR_SUCCEEDED(enumerate(NULL, known, &known, properties)))
-		for (uint32_t i = 0; i < known; i++)
-			for (int j = 0; j < count; j++)
-				has[j] = has[j] || !strcmp(properties[i].extensionName, names[j]);
-	free(properties);
-}
-
 static void fetch(XrInstance instance, const char *name, PFN_xrVoidFunction *function)
 {
 	if (XR_FAILED(layer.next(instance, name, function)))
@@ -665,6 +646,8 @@ static XRAPI_ATTR XrResult XRAPI_CALL create_instance(const XrInstanceCreateInfo
 		return XR_ERROR_INITIALIZATION_FAILED;
 	XrApiLayerCreateInfo below = *create;
 	below.nextInfo = me->next;
+	if (me->nextGetInstanceProcAddr == get_proc) /* registered twice: the lower one does the work */
+		return me->nextCreateApiLayerInstance(info, &below, out);
 	memset(&layer, 0, sizeof layer);
 	layer.next = me->nextGetInstanceProcAddr;
 	for (uint32_t i = 0; i < info->enabledExtensionCount; i++)
@@ -673,28 +656,38 @@ static XRAPI_ATTR XrResult XRAPI_CALL create_instance(const XrInstanceCreateInfo
 	if (!layer.wanted[HANDS])
 		return me->nextCreateApiLayerInstance(info, &below, out);
 
-	/* The runtime gets the extensions that it knows, and one more that tells its clock. */
-	const char *const names[] = {EXTENSION[HANDS], EXTENSION[SOURCE], EXTENSION[AIM], TIME_EXTENSION};
-	bool has[EXTENSIONS + 1], enabled_time = false;
-	ask_runtime(layer.next, names, has, EXTENSIONS + 1);
+	/* Which of these the runtime knows shows in what it accepts: whether it may be asked, loaders and layers disagree. One
+	 * more extension tells its clock. */
+	static const struct {
+		bool has[EXTENSIONS], time;
+	} offers[] = {
+		{{true, true, true}, true}, {{true, true, false}, true}, {{true, false, false}, true},
+		{{false, false, false}, true}, {{false, false, false}, false},
+	};
 	const char **kept = calloc(info->enabledExtensionCount + 1, sizeof *kept);
 	if (!kept)
 		return XR_ERROR_OUT_OF_MEMORY;
 	XrInstanceCreateInfo passed = *info;
 	passed.enabledExtensionNames = kept;
-	passed.enabledExtensionCount = 0;
-	for (uint32_t i = 0; i < info->enabledExtensionCount; i++) {
-		const char *name = info->enabledExtensionNames[i];
-		bool lacking = false;
-		for (int j = 0; j < EXTENSIONS; j++)
-			lacking = lacking || (!has[j] && !strcmp(name, EXTENSION[j]));
-		enabled_time = enabled_time || !strcmp(name, TIME_EXTENSION);
-		if (!lacking)
-			kept[passed.enabledExtensionCount++] = name;
+	XrResult result = XR_ERROR_EXTENSION_NOT_PRESENT;
+	bool has_hands = false;
+	for (size_t offer = 0; result == XR_ERROR_EXTENSION_NOT_PRESENT && offer < sizeof offers / sizeof *offers; offer++) {
+		bool enabled_time = false;
+		passed.enabledExtensionCount = 0;
+		for (uint32_t i = 0; i < info->enabledExtensionCount; i++) {
+			const char *name = info->enabledExtensionNames[i];
+			bool lacking = false;
+			for (int j = 0; j < EXTENSIONS; j++)
+				lacking = lacking || (!offers[offer].has[j] && !strcmp(name, EXTENSION[j]));
+			enabled_time = enabled_time || !strcmp(name, TIME_EXTENSION);
+			if (!lacking)
+				kept[passed.enabledExtensionCount++] = name;
+		}
+		if (offers[offer].time && !enabled_time)
+			kept[passed.enabledExtensionCount++] = TIME_EXTENSION;
+		has_hands = offers[offer].has[HANDS];
+		result = me->nextCreateApiLayerInstance(&passed, &below, out);
 	}
-	if (has[EXTENSIONS] && !enabled_time)
-		kept[passed.enabledExtensionCount++] = TIME_EXTENSION;
-	XrResult result = me->nextCreateApiLayerInstance(&passed, &below, out);
 	free((void *)kept);
 	if (XR_FAILED(result))
 		return result;
@@ -705,9 +698,8 @@ static XRAPI_ATTR XrResult XRAPI_CALL create_instance(const XrInstanceCreateInfo
 	fetch(*out, "xrCreateReferenceSpace", (PFN_xrVoidFunction *)&layer.create_space);
 	fetch(*out, "xrDestroySpace", (PFN_xrVoidFunction *)&layer.destroy_space);
 	fetch(*out, "xrLocateSpace", (PFN_xrVoidFunction *)&layer.locate_space);
-	if (has[EXTENSIONS] || enabled_time)
-		fetch(*out, TIME_FUNCTION, (PFN_xrVoidFunction *)&layer.convert_time);
-	if (has[HANDS]) {
+	fetch(*out, TIME_FUNCTION, (PFN_xrVoidFunction *)&layer.convert_time);
+	if (has_hands) {
 		fetch(*out, "xrCreateHandTrackerEXT", (PFN_xrVoidFunction *)&layer.create_tracker);
 		fetch(*out, "xrDestroyHandTrackerEXT", (PFN_xrVoidFunction *)&layer.destroy_tracker);
 		fetch(*out, "xrLocateHandJointsEXT", (PFN_xrVoidFunction *)&layer.locate_joints);

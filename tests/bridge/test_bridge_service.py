@@ -11,6 +11,7 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from websockets.asyncio.client import connect
 
 from rhot.bus import Bus
 from rhot.errors import ConfigError, RhotError
-from rhot.messages import Control, HandPose, ObjectPose, Space, encode, encoding_of
+from rhot.messages import Control, HandPose, ObjectPose, Side, Space, encode, encoding_of
 from rhot.rig import BridgeConfig, BusConfig
 from rhot.service import configuration, runner
 from rhot.service.clock_sync import serve_clock
@@ -31,6 +32,7 @@ from rhot_bridge.command import bridge
 from rhot_bridge.feed import Feed
 from rhot_bridge.output import make_output
 from rhot_bridge.service import BridgeService, serve_bridges
+from rhot_bridge.targets.openxr import HANDS, MEASURED
 
 
 @pytest.fixture(autouse=True)
@@ -130,6 +132,32 @@ async def test_hands_come_out_above_the_floor_by_two_bridges_of_one_process(rout
             await wait_for_status(
                 bus, "bridge/page", lambda each: each.rates.get("output", 0.0) == 0.0 and each.problem == ""
             )
+
+
+async def test_hands_of_the_bus_are_in_openxrs_memory(
+    router: BusConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "hands"
+    monkeypatch.setenv("RHOT_HANDS", str(file))
+    async with running(router, {"vr": {"target": "openxr"}}) as (bus, _):
+        await wait_for_status(bus, "bridge/vr", lambda each: each.rates.get("output", 0.0) > 20.0)
+
+        def hands() -> np.void:
+            found: np.void = np.frombuffer(file.read_bytes(), HANDS, 1)[0]["hands"]
+            return found
+
+        sides: tuple[Side, Side] = ("left", "right")
+        for number, side in enumerate(sides):
+            hand = hands()[number]
+            assert hand["state"] == MEASURED
+            assert np.abs(hand["joints"]["position"] - bridge_poses.hand("flat", side).positions).max() < 1e-6
+            assert 0 <= time.monotonic_ns() - int(hand["t_ns"]) < PATIENCE_S * 1e9
+        # Moved while it runs, as people do with the headset on.
+        before = hands()[1]["joints"]["position"][0]
+        await bus.put(
+            "rhot/config/bridge/vr", json.dumps({"offset": [0.0, 0.1, 0.0, 0.0]}).encode(), "application/json"
+        )
+        await until(lambda: abs(hands()[1]["joints"]["position"][0][1] - before[1] - 0.1) < 1e-6)
 
 
 async def test_both_hands_of_a_moment_are_one_frame(router: BusConfig, free_port: int) -> None:

@@ -39,6 +39,8 @@ class Stack:
         commands: programs it needs, each with Debian's package.
         guest: whether its tests run in the emulated machine.
         marker: of the tests.
+        made: what they run in, for people, and a file that is there once it is made, in a folder that is named as the
+            one here whose make.sh makes it.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Stack:
     commands: dict[str, str] = field(default_factory=dict)
     guest: bool = False
     marker: str = "stacks"
+    made: tuple[str, str] | None = None
 
 
 _ROOTS = {"mmdebstrap": "mmdebstrap"}
@@ -58,7 +61,18 @@ STACKS = (
     Stack("serial", "Linux 6.12: USB gadget over dummy_hcd", ["test_serial.py"], _GUEST, guest=True),
     Stack("picamera2", "picamera2 on libcamera 0.4, vimc", ["test_picamera2.py"], _GUEST, guest=True),
     Stack(
-        "arm64", "aarch64 wheels under QEMU", ["test_arm64.py"], {**_ROOTS, "qemu-aarch64": "qemu-user", "cc": "gcc"}
+        "openxr",
+        "Khronos loader, Monado 25, pyopenxr, hello_xr",
+        ["test_openxr.py"],
+        _ROOTS,
+        made=("a Debian with Monado", "openxr/.ready"),
+    ),
+    Stack(
+        "arm64",
+        "aarch64 wheels under QEMU",
+        ["test_arm64.py"],
+        {**_ROOTS, "qemu-aarch64": "qemu-user", "cc": "gcc"},
+        made=("the ARM root", "arm64/count.so"),
     ),
     Stack(
         "containers",
@@ -67,7 +81,12 @@ STACKS = (
         {**_ROOTS, "dockerd": "docker.io", "docker-compose": "docker-compose", "iptables": "iptables"},
     ),
     Stack("installer", "Debian with systemd, booted in namespaces", ["../deploy/test_fresh_root.py"], marker="faults"),
-    Stack("readers", "Blender, OpenSim, vmcp", ["../tools/export/test_installed_readers.py"]),
+    Stack(
+        "readers",
+        "Blender, OpenSim, vmcp",
+        ["../tools/export/test_installed_readers.py"],
+        made=("an environment of readers", "readers/.ready"),
+    ),
 )
 
 
@@ -123,11 +142,13 @@ def _install(stacks: Sequence[Stack]) -> set[str]:
     return missing
 
 
-def _made(name: str, mark: str, command: Sequence[str | Path]) -> str:
+def _made(name: str, mark: str) -> str:
     """Make something in the cache unless it is there; return why it could not be made."""
     if (CACHE / mark).exists():
         return ""
     OUT.print(f"making {name}")
+    folder = mark.partition("/")[0]
+    command = [HERE / folder / "make.sh", CACHE / folder, CONSTRAINTS, Path(sys.executable).with_name("pip")]
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=False)
     if done.returncode == 0:
         return ""
@@ -136,15 +157,7 @@ def _made(name: str, mark: str, command: Sequence[str | Path]) -> str:
 
 
 def _run_here(stack: Stack) -> Result:
-    reason = ""
-    if stack.name == "arm64":
-        pip = Path(sys.executable).with_name("pip")
-        reason = _made(
-            "the ARM root", "arm64/count.so", [HERE / "arm64" / "make.sh", CACHE / "arm64", CONSTRAINTS, pip]
-        )
-    elif stack.name == "readers":
-        reason = _made("an environment of readers", "readers/.ready", [HERE / "readers" / "make.sh", CACHE / "readers"])
-    if reason:
+    if stack.made and (reason := _made(*stack.made)):
         return Result(stack, failed=1, reason=reason)
     OUT.print(f"running {stack.name}")
     report = CACHE / f"{stack.name}.xml"
@@ -163,10 +176,7 @@ def _run_here(stack: Stack) -> Result:
 def _run_in_guest(stacks: Sequence[Stack]) -> list[Result]:
     """Boot the emulated machine once, and run all its tests in it."""
     folder, share = CACHE / "guest", CACHE / "share"
-    reason = _made(
-        "the emulated machine (minutes, once)", "guest/disk.ext4", [HERE / "guest" / "make.sh", folder, CONSTRAINTS]
-    )
-    if reason:
+    if reason := _made("the emulated machine (minutes, once)", "guest/disk.ext4"):
         return [Result(stack, failed=1, reason=reason) for stack in stacks]
     shutil.rmtree(share, ignore_errors=True)
     (share / "played").mkdir(parents=True)

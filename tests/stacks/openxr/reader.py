@@ -4,10 +4,13 @@ Usage: reader.py [--no-hands]. Says what it found, then answers each line of sta
 `{"do": "locate", "side": …, "space": …, "ahead_ms": …}`, `{"do": "time", "space": …, "calls": …}`, `{"do": "bad"}`.
 """
 
+from __future__ import annotations
+
 import ctypes
 import json
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import xr
@@ -17,15 +20,17 @@ HANDS = ["XR_EXT_hand_tracking", "XR_EXT_hand_tracking_data_source", "XR_FB_hand
 
 
 class Timespec(ctypes.Structure):
-    _fields_ = [("s", ctypes.c_long), ("ns", ctypes.c_long)]
+    _fields_ = (("s", ctypes.c_long), ("ns", ctypes.c_long))
 
 
 class Program:
-    def __init__(self, hands):
+    def __init__(self, hands: bool) -> None:
         self.offered = {str(p.extension_name.decode()) for p in xr.enumerate_instance_extension_properties()}
         enabled = ["XR_MND_headless", "XR_KHR_convert_timespec_time", *(HANDS if hands else [])]
         about = xr.ApplicationInfo("reader", 1, "none", 0, xr.Version(1, 0, 0))
-        self.instance = xr.create_instance(xr.InstanceCreateInfo(application_info=about, enabled_extension_names=enabled))
+        self.instance = xr.create_instance(
+            xr.InstanceCreateInfo(application_info=about, enabled_extension_names=enabled)
+        )
         self.system = xr.get_system(self.instance, xr.SystemGetInfo(xr.FormFactor.HEAD_MOUNTED_DISPLAY))
         self.session = xr.create_session(self.instance, xr.SessionCreateInfo(system_id=self.system, next=None))
         self.begin()
@@ -38,7 +43,7 @@ class Program:
             for name in ("STAGE", "LOCAL", "VIEW")
         }
 
-    def begin(self):
+    def begin(self) -> None:
         while True:
             try:
                 event = xr.poll_event(self.instance)
@@ -51,17 +56,17 @@ class Program:
                     xr.begin_session(self.session, xr.SessionBeginInfo(xr.ViewConfigurationType.PRIMARY_STEREO))
                     return
 
-    def function(self, name):
+    def function(self, name: str) -> Any:
         return ctypes.cast(xr.get_instance_proc_addr(self.instance, name), getattr(xr, "PFN_" + name))
 
-    def supports(self):
+    def supports(self) -> bool:
         hands = xr.SystemHandTrackingPropertiesEXT()
         properties = xr.SystemProperties(next=ctypes.cast(ctypes.pointer(hands), ctypes.c_void_p))
         get = self.function("xrGetSystemProperties")
         xr.check_result(xr.Result(get(self.instance, self.system, ctypes.byref(properties))))
         return bool(hands.supports_hand_tracking)
 
-    def make_trackers(self):
+    def make_trackers(self) -> None:
         create = self.function("xrCreateHandTrackerEXT")
         self.locate_joints = self.function("xrLocateHandJointsEXT")
         self.convert = self.function("xrConvertTimespecTimeToTimeKHR")
@@ -84,17 +89,19 @@ class Program:
             next=ctypes.cast(ctypes.pointer(self.velocities), ctypes.c_void_p),
         )
 
-    def xr_time(self, ns):
+    def xr_time(self, ns: int) -> Any:
         spec, out = Timespec(ns // 10**9, ns % 10**9), xr.Time()
         pointer = ctypes.cast(ctypes.byref(spec), self.convert.argtypes[1])
         xr.check_result(xr.Result(self.convert(self.instance, pointer, ctypes.byref(out))))
         return out
 
-    def locate(self, side, space, ahead_ms):
+    def locate(self, side: str, space: str, ahead_ms: float) -> dict[str, Any]:
         ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC) + round(1e6 * ahead_ms)
         info = xr.HandJointsLocateInfoEXT(base_space=self.spaces[space], time=self.xr_time(ns))
         result = self.locate_joints(self.trackers[side], ctypes.byref(info), ctypes.byref(self.out))
+        stage = xr.locate_space(self.spaces["STAGE"], self.spaces[space], info.time).pose
         said = {"result": xr.Result(result).name, "active": bool(self.out.is_active), "t_ns": ns}
+        said["stage"] = [*xyz(stage.position), *xyz(stage.orientation), stage.orientation.w]
         if not self.out.is_active:
             return {**said, "flags": sorted({j.location_flags for j in self.joints})}
         vectors = [(v.linear_velocity, v.angular_velocity) for v in self.moving]
@@ -111,7 +118,7 @@ class Program:
             "aim": [int(self.aim.status), self.aim.pinch_strength_index],
         }
 
-    def timed(self, space, calls):
+    def timed(self, space: str, calls: int) -> dict[str, float]:
         now = self.xr_time(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
         info = ctypes.byref(xr.HandJointsLocateInfoEXT(base_space=self.spaces[space], time=now))
         out, tracker, locate = ctypes.byref(self.out), self.trackers["right"], self.locate_joints
@@ -127,7 +134,7 @@ class Program:
         median = np.median(took, axis=0) / 1e3
         return {"joints_us": median[0], "space_us": median[1], "p99_us": float(np.percentile(took[:, 0], 99)) / 1e3}
 
-    def bad(self):
+    def bad(self) -> dict[str, str]:
         """Mistakes that a program may make, and what it is told."""
         now = self.xr_time(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
         info = xr.HandJointsLocateInfoEXT(base_space=self.spaces["STAGE"], time=now)
@@ -149,14 +156,22 @@ class Program:
         return {name: xr.Result(result).name for name, result in calls.items()}
 
 
-def xyz(vector):
+def xyz(vector: Any) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
 
 
-def main():
+def say(what: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
     hands = "--no-hands" not in sys.argv
     program = Program(hands)
-    said = {"runtime": xr.get_instance_properties(program.instance).runtime_name.decode(), "supports": program.supports()}
+    said = {
+        "runtime": xr.get_instance_properties(program.instance).runtime_name.decode(),
+        "supports": program.supports(),
+    }
     said["offered"] = [name for name in HANDS if name in program.offered]
     if hands:
         program.make_trackers()
@@ -166,11 +181,11 @@ def main():
             said["function"] = "there"
         except xr.FunctionUnsupportedError:
             said["function"] = "unsupported"
-    print(json.dumps(said), flush=True)
+    say(said)
     for line in sys.stdin:
         request = json.loads(line)
-        do = {"locate": program.locate, "time": program.timed, "bad": program.bad}[request.pop("do")]
-        print(json.dumps(do(**request)), flush=True)
+        do: Any = {"locate": program.locate, "time": program.timed, "bad": program.bad}[request.pop("do")]
+        say(do(**request))
     xr.destroy_session(program.session)
     xr.destroy_instance(program.instance)
 
