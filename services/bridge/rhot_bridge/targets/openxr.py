@@ -124,7 +124,7 @@ class HandsMemory:
 
 WINDOW_NS: Final = 60_000_000
 """Samples of this long make a velocity. 30 ms ahead, the simulated hand is then off by 0.74 mm (p95 4.2) where it moves,
-by 1.53 (6.4) without a velocity; at rest by 0.50 and 0.35. 40 ms gives 0.85 (4.1) and 0.58, 100 ms 0.70 (4.9), 0.43."""
+by 1.53 (6.4) without a velocity; at rest by 0.50 and 0.35. 40 ms gives 0.85 (4.1) and 0.58, 100 ms 0.70 (4.9), 0.43"""
 
 
 class Motion:
