@@ -40,6 +40,9 @@ $(READY): pyproject.toml bench/pyproject.toml constraints.txt
 	@$(BIN)/python -m pip install $(QUICKLY) --editable '.[dev]' --editable bench --constraint constraints.txt $(COUNTED)
 	@touch $@
 
+# What runs on Windows and macOS, too: all but the tests.
+OURS := common services calibration simulation tools bench/rhot_bench worlds
+
 # Programs of others that tests hand our output to; tests that need one are skipped where it cannot be installed.
 NPM := .foreign/npm/.ready
 ROS := .foreign/ros/.ready
@@ -123,6 +126,8 @@ lint: $(READY)
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy --num-workers 2 || { \
 	  test $$? -eq 2 && echo "mypy again, in one process: its workers must be there within 3 s" && $(BIN)/mypy; }
+	@for system in win32 darwin; do \
+	  $(BIN)/mypy --platform $$system --num-workers 2 $(OURS) | sed "s/^Success/$$system: success/" || exit 1; done
 	@$(BIN)/lint-imports --no-logo
 
 format: $(READY)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_context
 from pathlib import Path
@@ -65,15 +67,25 @@ def each(work: Callable[[Task], Result], tasks: Sequence[Task], processes: int) 
         processes: so many at once, with one thread each.
     """
     # Held back while they start: Python would show a traceback of each that is not yet where `_begin` is called.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
+    with _without_interrupts():
         # Forked processes would inherit OpenCV's threads in an unknown state.
         pool = get_context("spawn").Pool(min(processes, len(tasks)), _begin)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     with pool:
         # Leaving early, by an error or Ctrl-C, ends the processes.
         yield from pool.imap(work, tasks)
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Hold Ctrl-C back during the block, where a system can."""
+    if sys.platform == "win32":
+        yield
+    else:
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin() -> None:

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Final
 
 from pydantic import BaseModel
 from rich.console import Console
@@ -17,6 +18,9 @@ from rhot.rig import write_json_model
 
 # Keys that a person presses while a command follows a running rig.
 
+_POLL_S: Final = 0.05
+"""Between two looks for a key, on Windows."""
+
 
 @contextlib.contextmanager
 def keyboard(pressed: Callable[[str], None]) -> Iterator[bool]:
@@ -24,18 +28,34 @@ def keyboard(pressed: Callable[[str], None]) -> Iterator[bool]:
     if not sys.stdin.isatty() or not sys.stdout.isatty():
         yield False
         return
-    import termios  # noqa: PLC0415  # not on every system
-    import tty  # noqa: PLC0415
+    loop = asyncio.get_running_loop()
+    if sys.platform == "win32":
+        import msvcrt  # noqa: PLC0415
 
-    loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
-    before = termios.tcgetattr(descriptor)
-    tty.setcbreak(descriptor)
-    loop.add_reader(descriptor, lambda: pressed(os.read(descriptor, 1).decode(errors="replace")))
-    try:
-        yield True
-    finally:
-        loop.remove_reader(descriptor)
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+        async def poll() -> None:
+            while True:
+                while msvcrt.kbhit():
+                    pressed(msvcrt.getwch())
+                await asyncio.sleep(_POLL_S)
+
+        polling = loop.create_task(poll())
+        try:
+            yield True
+        finally:
+            polling.cancel()
+    else:
+        import termios  # noqa: PLC0415
+        import tty  # noqa: PLC0415
+
+        descriptor = sys.stdin.fileno()
+        before = termios.tcgetattr(descriptor)
+        tty.setcbreak(descriptor)
+        loop.add_reader(descriptor, lambda: pressed(os.read(descriptor, 1).decode(errors="replace")))
+        try:
+            yield True
+        finally:
+            loop.remove_reader(descriptor)
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
 # Writing what a calibration command found into the rig folder.

@@ -21,7 +21,9 @@ from typing import Final
 
 from rhot.errors import ConfigError
 
-if sys.platform != "win32":
+if sys.platform == "win32":
+    import msvcrt
+else:
     import fcntl
 
 _LOCK_LIMIT_S: Final = 5.0
@@ -156,16 +158,15 @@ def sync_folder(folder: Path) -> None:
     Raises:
         OSError: the disk reports that it could not be written.
     """
-    if os.name == "nt":
-        return
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems of other systems and of networks
-            raise
-    finally:
-        os.close(handle)
+    if sys.platform != "win32":
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems of other systems and of networks
+                raise
+        finally:
+            os.close(handle)
 
 
 def sync_file_system(folder: Path) -> None:
@@ -174,34 +175,36 @@ def sync_file_system(folder: Path) -> None:
     Raises:
         OSError: the disk reports that it could not be written.
     """
-    syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None) if sys.platform == "linux" else None
-    if syncfs is None:
-        if hasattr(os, "sync"):
+    if sys.platform == "linux":
+        syncfs = getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
+        if syncfs is None:
             os.sync()
-        return
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        if syncfs(handle) != 0:
-            number = ctypes.get_errno()
-            raise OSError(number, os.strerror(number))
-    finally:
-        os.close(handle)
+            return
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            if syncfs(handle) != 0:
+                number = ctypes.get_errno()
+                raise OSError(number, os.strerror(number))
+        finally:
+            os.close(handle)
+    elif sys.platform != "win32":
+        os.sync()
 
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Keep other processes that ask for the same from changing files of a folder during the block.
 
-    The lock is on the folder itself, ends with the process, and needs no file.
+    The lock is on the folder itself, ends with the process, and needs no file; on Windows it is on a file in it.
 
     Raises:
         ConfigError: another process holds it for longer than any change takes, or the folder cannot be opened.
     """
-    if sys.platform == "win32":  # where only the objects service runs, and nobody else changes its rig
-        yield
-        return
     try:
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        if sys.platform == "win32":
+            handle = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT)
+        else:
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be opened: {error.strerror or error}") from error
     try:
@@ -215,8 +218,12 @@ def _lock(handle: int, folder: Path) -> None:
     deadline = time.monotonic() + _LOCK_LIMIT_S
     while True:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            if sys.platform == "win32":
+                # Of the first byte; the error of one that is locked is PermissionError.
+                msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            else:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError) as error:
             if time.monotonic() > deadline:
                 raise ConfigError(
                     f"{folder}: another program has been changing it for {_LOCK_LIMIT_S:.0f} s; end it "

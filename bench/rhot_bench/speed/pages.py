@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import os
 import shutil
+import sys
 import tempfile
 import urllib.request
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -190,11 +191,15 @@ async def _turn(bus: Bus, pages: int, seconds: float) -> Turn:
     return Turn(pages, seconds, waits_ms, await _status(bus) if pages else None)
 
 
+def _is_root() -> bool:
+    return sys.platform != "win32" and os.geteuid() == 0
+
+
 @asynccontextmanager
 async def _windows(bus: Bus, browser: str, url: str, profiles: Path) -> AsyncIterator[None]:
     """Open the windows, each in a browser of its own so that none is in the background, and end them afterwards."""
     # Chromium's own sandbox does not work for root; the only page that it opens is ours.
-    flags = [*_FLAGS, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+    flags = [*_FLAGS, *(["--no-sandbox"] if _is_root() else [])]
     without_priority = await _without_priority()
     async with AsyncExitStack() as stack:
         for number in range(_PAGES):
@@ -216,7 +221,7 @@ async def _windows(bus: Bus, browser: str, url: str, profiles: Path) -> AsyncIte
 async def _without_priority() -> list[str]:
     """Return what keeps Chromium as root from a niceness of −8, before the tracker: it gets that from nobody else."""
     prefix = ["setpriv", "--bounding-set", "-sys_nice"]
-    if os.geteuid() != 0 or shutil.which(prefix[0]) is None:
+    if not _is_root() or shutil.which(prefix[0]) is None:
         return []
     allowed = await asyncio.create_subprocess_exec(*prefix, "true", stderr=asyncio.subprocess.DEVNULL)
     return prefix if await allowed.wait() == 0 else []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -91,7 +92,10 @@ def _resident_mb(pid: int) -> float:
 
 # What a process holds at a moment: memory, file descriptors, threads, processor time.
 
-_TICK_S: Final = 1.0 / os.sysconf("SC_CLK_TCK")
+if sys.platform == "win32":
+    _TICK_S: Final = 0.01  # of nothing: there is no /proc to read
+else:
+    _TICK_S: Final = 1.0 / os.sysconf("SC_CLK_TCK")
 _MEGA: Final = 1e-3
 """The kernel counts in kilobytes."""
 

@@ -7,18 +7,23 @@ import contextlib
 import logging
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Any, Final
 
 from rhot.errors import EXIT_AGAIN, RhotError
 from rhot.service.stop import EXIT_WITH_PARENT
 
 logger = logging.getLogger(__name__)
 
+if sys.platform == "win32":
+    _OWN_GROUP: Final[dict[str, Any]] = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+else:
+    _OWN_GROUP: Final[dict[str, Any]] = {"start_new_session": True}
 _STOP_LIMIT_S: Final = 1.2
 _TAIL_LINES: Final = 12
 _PROVEN_S: Final = 5.0
@@ -83,7 +88,7 @@ class Supervisor:
                 stderr=output,
                 env={**os.environ, EXIT_WITH_PARENT: "1"},
                 # Its own group: Ctrl-C reaches the parent alone, which then ends the children in order.
-                start_new_session=True,
+                **_OWN_GROUP,
             )
         child = Child(name, process, log, module, tuple(arguments))
         self.children.append(child)
@@ -139,7 +144,11 @@ class Supervisor:
         running = [child for child in self.children if child.process.returncode is None]
         for child in running:
             with contextlib.suppress(ProcessLookupError):
-                child.process.send_signal(signal.SIGTERM)
+                if sys.platform == "win32" and child.process.stdin is not None:
+                    # Where signals only kill; see EXIT_WITH_PARENT.
+                    child.process.stdin.close()
+                else:
+                    child.process.send_signal(signal.SIGTERM)
         try:
             async with asyncio.timeout(_STOP_LIMIT_S):
                 await asyncio.gather(*(child.process.wait() for child in running))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from rhot.priority import wake_first
 from rhot.recording.mcap.reader import RecordedSample
 
 LATE_NS: Final = 2_000_000
@@ -67,7 +66,7 @@ def play(
 
     A thread of its own runs this: the event loop wakes to the millisecond only.
     """
-    _wake_first()
+    wake_first()
     begun_ns = first_ns = None
     for sample in samples:
         if begun_ns is None or first_ns is None:
@@ -96,15 +95,6 @@ def _wait_until(due_ns: int, stopping: threading.Event, figures: PlayFigures) ->
             return False
     figures.waits_s = 0.0
     return not stopping.is_set()
-
-
-def _wake_first() -> None:
-    """Let this thread, which mostly sleeps, wake before others where the system permits it (root, CAP_SYS_NICE).
-
-    On two cores shared by five busy processes the 99th percentile of its lateness fell from 5–9 ms to 1.2 ms.
-    """
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
 
 
 def moments(samples: Iterable[RecordedSample]) -> Iterator[list[RecordedSample]]:

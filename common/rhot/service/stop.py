@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import signal
 import socket
@@ -19,17 +20,13 @@ from rhot.errors import EXIT_AGAIN, HungDeviceError
 
 def notify(state: str) -> None:
     """Send a line such as `READY=1` to systemd; does nothing where nobody listens."""
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
+    address = os.environ.get("NOTIFY_SOCKET", "")
     if address.startswith("@"):  # an abstract socket
         address = "\0" + address[1:]
-    try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as channel:
+    if address and sys.platform != "win32":
+        # systemd may have gone away, or the socket is not ours; the service itself is well.
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
             channel.sendto(state.encode(), address)
-    except OSError:
-        # systemd went away or the socket is not ours; the service itself is well.
-        return
 
 
 def watchdog_interval_s() -> float | None:
@@ -84,7 +81,7 @@ def install_stop() -> Stop:
         stop.requested.set()
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        if sys.platform == "win32":  # its event loops take no handlers; objects run there, beside SteamVR
+        if sys.platform == "win32":  # its event loops take no handlers
             signal.signal(number, lambda number, _: loop.call_soon_threadsafe(on_signal, number))
         else:
             loop.add_signal_handler(number, on_signal, number)
@@ -96,12 +93,15 @@ def install_stop() -> Stop:
 
 
 def _watch_parent(loop: asyncio.AbstractEventLoop, stopping: asyncio.Event) -> None:
-    def readable() -> None:
-        if not os.read(sys.stdin.fileno(), 4096):
-            loop.remove_reader(sys.stdin.fileno())
-            stopping.set()
+    def wait_for_end() -> None:
+        with contextlib.suppress(OSError):
+            while os.read(sys.stdin.fileno(), 4096):
+                pass
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            loop.call_soon_threadsafe(stopping.set)
 
-    loop.add_reader(sys.stdin.fileno(), readable)
+    # A thread, because event loops of Windows cannot wait for a pipe that was opened elsewhere.
+    threading.Thread(target=wait_for_end, name="parent", daemon=True).start()
 
 
 def run_to_the_end(work: Coroutine[Any, Any, int]) -> int:

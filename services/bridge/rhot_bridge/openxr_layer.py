@@ -23,11 +23,11 @@ import numpy as np
 
 from rhot.atomic_file import write_atomic
 from rhot.errors import ConfigError
-from rhot_bridge.targets.openxr import HANDS, MAGIC, PREDICTED, SIDES, VERSION, WINDOWS_NAME, memory_path
+from rhot_bridge.targets.openxr import HANDS, MAGIC, PREDICTED, SIDES, VERSION, mapped_bytes, memory_path
 
 LAYER: Final = "XR_APILAYER_RHOT_hands"
 DISABLE: Final = "DISABLE_XR_APILAYER_RHOT_HANDS"
-LIBRARY: Final = "rhot_openxr.dll" if sys.platform == "win32" else "librhot_openxr.so"
+LIBRARY: Final = "rhot_openxr.dll" if os.name == "nt" else "librhot_openxr.so"
 EXTENSIONS: Final = {
     "XR_EXT_hand_tracking": 4,
     "XR_EXT_hand_tracking_data_source": 1,
@@ -89,16 +89,14 @@ def _compile_problem(said: str) -> str:
 
 def data_folder() -> Path:
     """Return the folder of this user's data."""
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
+    variable, usual = ("LOCALAPPDATA", "AppData/Local") if os.name == "nt" else ("XDG_DATA_HOME", ".local/share")
+    return Path(os.environ.get(variable) or Path.home() / usual)
 
 
 def manifest_path() -> Path:
     """Return where this user's manifest of the layer is."""
-    if sys.platform == "win32":
-        return data_folder() / "rhot" / "openxr_layer.json"
-    return data_folder() / "openxr" / "1" / "api_layers" / "implicit.d" / "rhot_hands.json"
+    folder = "rhot" if os.name == "nt" else "openxr/1/api_layers/implicit.d"
+    return data_folder() / folder / "rhot_hands.json"
 
 
 def manifest(library: Path) -> dict[str, Any]:
@@ -187,7 +185,7 @@ def chain() -> Iterator[Step]:
 
 
 def _runtime() -> Step:
-    if sys.platform == "win32":
+    if os.name == "nt":
         return Step(True, "the OpenXR runtime is the registry's; RHOT does not look it up on Windows")
     named = os.environ.get("XR_RUNTIME_JSON")
     config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
@@ -206,11 +204,11 @@ def _runtime() -> Step:
 def _hands() -> Iterator[Step]:
     start = 'rhot bridge openxr (or [bridges.NAME] with target = "openxr" in rig.toml, and rhot up)'
     try:
-        memory = WINDOWS_NAME if sys.platform == "win32" else memory_path().read_bytes()
+        memory = mapped_bytes()
     except OSError:
         memory = b""
-    if isinstance(memory, str) or len(memory) < HANDS.itemsize:
-        yield Step(isinstance(memory, str), "no bridge has written hands on this machine", start)
+    if len(memory) < HANDS.itemsize:
+        yield Step(False, "no bridge has written hands on this machine", start)
         return
     hands = np.frombuffer(memory, HANDS, 1)[0]
     if hands["magic"] != MAGIC or hands["version"] != VERSION:
@@ -254,7 +252,7 @@ def openxr() -> None:
 def install(library: Path | None) -> int:
     """Build the layer and register it for this user."""
     if library is None:
-        if sys.platform == "win32":
+        if os.name == "nt":
             raise ConfigError("on Windows the layer is not compiled here; name a built one: --library rhot_openxr.dll")
         library = data_folder() / "rhot" / LIBRARY
         build(library)

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import threading
 from typing import Final
 
 _END_LIMIT_S: Final = 0.9
 """From Ctrl-C to the end of the process, at most; with two busy processes beside it that was 12 s without a limit."""
-_NICE: Final = 10
+NICE: Final = 10
 """Where processors are short, tracking goes first and the page shows fewer frames."""
-
-
-def lower_priority(levels: int = _NICE) -> None:
-    """Raise this process's niceness by so many levels: what tracks goes first."""
-    with contextlib.suppress(AttributeError, OSError):  # not on every system
-        os.nice(levels)
 
 
 def end_within(exit_code: int, limit_s: float = _END_LIMIT_S) -> None:

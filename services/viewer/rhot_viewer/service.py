@@ -18,6 +18,7 @@ from rhot.calibration_step import StepContext
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
 from rhot.messages import Control, ServiceStatus
+from rhot.priority import lower_priority
 from rhot.rig import BusConfig, Rig
 from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig
@@ -40,7 +41,7 @@ from rhot_viewer.panels import (
     ViewPanel,
 )
 from rhot_viewer.panels.live import STATUS_AGE_S
-from rhot_viewer.process_priority import end_within, lower_priority
+from rhot_viewer.process_priority import NICE, end_within
 from rhot_viewer.rig.capture_settings import CaptureSettings
 from rhot_viewer.rig.inbox import History, Inbox
 from rhot_viewer.rig.live_recording import LiveRecording
@@ -247,7 +248,7 @@ async def serve_page(
         DeviceError: the port is taken.
     """
     page = Page(host, port, access)
-    lower_priority()
+    lower_priority(NICE)
     try:
         service = ViewerService(page, rig, bus_config, recordings, other_page)
         _announce(page, access, token_file)

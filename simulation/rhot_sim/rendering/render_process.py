@@ -14,6 +14,7 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +23,7 @@ import numpy as np
 from rhot.arrays import ImageArray
 from rhot.errors import DeviceError
 from rhot.geometry.camera import CameraModel
+from rhot.priority import lower_priority
 from rhot.rig import load_rig
 
 # What the child processes that draw simulated pictures have in common.
@@ -44,8 +46,7 @@ def become_drawing_child() -> None:
 
 def keep_out_of_the_way() -> None:
     """Lower this process's priority, once it has loaded: until then a camera is waited for."""
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
+    lower_priority(_NICE)
 
 
 def end(child: subprocess.Popen[bytes]) -> None:
@@ -83,17 +84,13 @@ class RenderProcess:
             width, height: of its pictures, pixels.
         """
         self._camera = camera
-        file = os.memfd_create(f"rhot-{camera}")
-        try:
-            self._ring = _ring(file, width, height)
-            self._child = subprocess.Popen(
-                [sys.executable, "-m", __name__, str(rig_path), camera, str(file)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[file],
-            )
-        finally:
-            os.close(file)
+        self._file, path = _shared_file(camera)
+        self._ring = _ring(self._file, width, height)
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", __name__, str(rig_path), camera, path],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
         self._taken = 0
 
     def wait_until_ready(self) -> None:
@@ -132,8 +129,11 @@ class RenderProcess:
         return image
 
     def close(self) -> None:
-        """End the child."""
+        """End the child; may be called again."""
         end(self._child)
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
 
     def _wait_for_byte(self) -> None:
         try:
@@ -147,6 +147,16 @@ class RenderProcess:
         return DeviceError(f"camera {self._camera}: its renderer ended by itself, exit code {self._child.poll()}")
 
 
+def _shared_file(camera: str) -> tuple[int, str]:
+    """Return a new file in memory, and the path by which a child opens it; it is gone when nobody has it open."""
+    if sys.platform == "linux":
+        file = os.memfd_create(f"rhot-{camera}")
+        return file, f"/proc/{os.getpid()}/fd/{file}"
+    else:  # noqa: RET505  # for mypy, which reads what follows a platform's return as dead
+        # Forgotten as all temporary files are: later.
+        return tempfile.mkstemp(prefix=f"rhot-{camera}-")
+
+
 def _ring(file: int, width: int, height: int) -> ImageArray:
     """Return the ring of pictures (AHEAD, height, width, 3) that a file in memory holds."""
     shape = (AHEAD, height, width, 3)
@@ -156,8 +166,9 @@ def _ring(file: int, width: int, height: int) -> ImageArray:
     return ring
 
 
-def serve(rig_path: Path, camera: str, file: int) -> None:
+def serve(rig_path: Path, camera: str, path: str) -> None:
     """Render whatever standard input asks for until it closes."""
+    file = os.open(path, os.O_RDWR)
     # Imported here: the parent needs none of it.
     from rhot_sim.rendering.renderer import Renderer  # noqa: PLC0415
     from rhot_sim.rig.folder import true_cameras  # noqa: PLC0415
@@ -193,4 +204,4 @@ def _say_done() -> None:
 
 
 if __name__ == "__main__":
-    serve(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]))
+    serve(Path(sys.argv[1]), sys.argv[2], sys.argv[3])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +12,7 @@ from pydantic import BaseModel
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.messages import Control
+from rhot.priority import lower_priority
 from rhot.rig import Rig, load_rig
 from rhot.rig.config import SimConfig
 from rhot.rig.folder import latest_rig
@@ -71,5 +71,5 @@ class TruthService:
 def truth(rig_path: Path, connect: tuple[str, ...], namespace: str | None) -> int:
     """Publish rhot/truth, the ground truth of the simulated world, until Ctrl-C."""
     # It must not disturb what it is there to judge.
-    os.nice(5)
+    lower_priority(5)
     return run_service(TruthService(load_rig(rig_path)), tool_bus(rig_path, connect, namespace))

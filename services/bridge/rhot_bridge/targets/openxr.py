@@ -55,11 +55,25 @@ WINDOWS_NAME: Final = "Local\\rhot_hands"
 
 def memory_path() -> Path:
     """Return the file of the shared memory; not on Windows, where it is a named mapping."""
-    given = os.environ.get("RHOT_HANDS")
-    if given:
-        return Path(given)
-    shared = Path("/dev/shm")  # POSIX shared memory, as the layer looks for it
-    return shared / f"rhot_hands.{os.getuid() if sys.platform != 'win32' else 0}"
+    if sys.platform == "win32":
+        user = ""
+    else:
+        user = f".{os.getuid()}"
+    # POSIX shared memory, as the layer looks for it.
+    return Path(os.environ.get("RHOT_HANDS") or f"/dev/shm/rhot_hands{user}")
+
+
+def mapped_bytes() -> bytes:
+    """Return what is in the memory now; empty where no bridge has been.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    if sys.platform == "win32":
+        with mmap.mmap(-1, HANDS.itemsize, tagname=WINDOWS_NAME, access=mmap.ACCESS_READ) as mapping:
+            return mapping[:]
+    else:  # for mypy, which reads what follows a platform's return as dead
+        return memory_path().read_bytes()
 
 
 class HandsMemory:
@@ -83,17 +97,18 @@ class HandsMemory:
     def _mapped(self) -> mmap.mmap:
         if sys.platform == "win32":
             return mmap.mmap(-1, HANDS.itemsize, tagname=WINDOWS_NAME)
-        path = memory_path()
-        try:
-            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.fstat(self._file).st_size < HANDS.itemsize:
-                os.ftruncate(self._file, HANDS.itemsize)
-            return mmap.mmap(self._file, HANDS.itemsize)
-        except BlockingIOError as error:
-            raise DeviceError(f"{path}: another `rhot bridge openxr` writes there; end it first") from error
-        except (OSError, ValueError) as error:
-            raise DeviceError(f"{path}: the hands' shared memory cannot be made: {error}") from error
+        else:  # noqa: RET505  # for mypy, which reads what follows a platform's return as dead
+            path = memory_path()
+            try:
+                self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.fstat(self._file).st_size < HANDS.itemsize:
+                    os.ftruncate(self._file, HANDS.itemsize)
+                return mmap.mmap(self._file, HANDS.itemsize)
+            except BlockingIOError as error:
+                raise DeviceError(f"{path}: another `rhot bridge openxr` writes there; end it first") from error
+            except (OSError, ValueError) as error:
+                raise DeviceError(f"{path}: the hands' shared memory cannot be made: {error}") from error
 
     def write(self, side: str, state: int, t_ns: int, joints: NDArray[np.void]) -> None:
         """Write a hand: its joints (26,) of type `JOINT`, as they were at `t_ns` on the monotonic clock."""
@@ -123,8 +138,8 @@ class HandsMemory:
 # Velocities.
 
 WINDOW_NS: Final = 60_000_000
-"""Samples of this long make a velocity. 30 ms ahead, the simulated hand is then off by 0.74 mm (p95 4.2) where it moves,
-by 1.53 (6.4) without a velocity; at rest by 0.50 and 0.35. 40 ms gives 0.85 (4.1) and 0.58, 100 ms 0.70 (4.9), 0.43"""
+"""Samples of this long make a velocity. 30 ms ahead, the simulated hand is then off by 0.74 mm (p95 4.2) in motion,
+1.53 (6.4) without a velocity; at rest by 0.50 and 0.35. 40 ms gives 0.85 (4.1) and 0.58, 100 ms 0.70 (4.9), 0.43"""
 
 
 class Motion:

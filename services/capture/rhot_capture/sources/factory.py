@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from rhot.clock import NodeClock
 from rhot.errors import ConfigError
 from rhot.plugins import load_simulated
@@ -32,6 +34,8 @@ def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
         from rhot_capture.sources.recorded import RecordedSource  # noqa: PLC0415
 
         return RecordedSource.from_rig(name, rig, clock)
+    if camera.source == "v4l2" and os.name == "nt":
+        raise ConfigError(f'camera {name}: source = "v4l2" is for Linux')
     if camera.source == "v4l2":
         from rhot_capture.sources.v4l2 import V4l2Source  # noqa: PLC0415
 

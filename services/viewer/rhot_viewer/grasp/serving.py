@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Final
 
 from rhot.clock import SystemClock
+from rhot.priority import lower_priority
 from rhot.rig import BusConfig, Rig
 from rhot.service.runner import serve
 from rhot_viewer.browser.access import Access, page_address
 from rhot_viewer.grasp import files
 from rhot_viewer.grasp.service import GraspService
 from rhot_viewer.page_token import links
-from rhot_viewer.process_priority import end_within, lower_priority
+from rhot_viewer.process_priority import end_within
 
 logger = logging.getLogger(__name__)
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import logging
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -93,13 +93,22 @@ def stamps_arrival(device: str, sysfs: Path = Path("/sys")) -> bool:
         return False
 
 
+if sys.platform == "linux":
+    from fcntl import ioctl as kernel_ioctl
+else:
+
+    def kernel_ioctl(handle: int, request: int, argument: object) -> object:
+        """Refuse: only Linux has Video4Linux; `open_source` lets nobody come here."""
+        raise OSError(f"{sys.platform} has no Video4Linux")
+
+
 Ioctl = Callable[[int, int, V4l2Buffer | V4l2Control | V4l2QueryControl], object]
 
 
 class BufferQuery:
     """Queries a device's buffers and controls; None if the driver does not answer (multi-planar devices)."""
 
-    def __init__(self, device: str, ioctl: Ioctl = fcntl.ioctl) -> None:
+    def __init__(self, device: str, ioctl: Ioctl = kernel_ioctl) -> None:
         """Open a further handle of a device.
 
         Args:
@@ -110,7 +119,7 @@ class BufferQuery:
             OSError: it cannot be opened.
         """
         self._ioctl = ioctl
-        self._handle = os.open(device, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+        self._handle = os.open(device, os.O_RDWR | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
 
     def stamps_mark_start(self) -> bool | None:
         """Return whether the driver's timestamps mark the start of the exposure; None if unknown."""
