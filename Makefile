@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 # Without compiled modules every process that a test starts, and every worker, would compile all of them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help sim foreign test faults stacks lint web openxr page holder worlds format clean
+.PHONY: help sim foreign test faults stacks lint web openxr release page holder worlds format clean
 
 help:
 	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
@@ -20,6 +20,7 @@ help:
 	@echo "make lint     only lint, types and layers"
 	@echo "make web      build the page Grasp (node and npm); sim and test do it where these are there"
 	@echo "make openxr   build the OpenXR layer, build/openxr (needs a C compiler and libopenxr-dev)"
+	@echo "make release  build wheel and source distribution, build/dist, and try them in fresh environments"
 	@echo "make holder   write the printable camera holder, build/holder/*.stl (docs/build.md)"
 	@echo "make worlds   render photo-real pictures of random rigs and hands with Blender (SEEDS=\"1 2\" SCORER=…/score.py)"
 	@echo "make clean    remove the environment and caches"
@@ -74,6 +75,9 @@ $(BUNDLE): $(SOURCES)
 	  { echo "the page Grasp needs node and npm: apt install nodejs npm"; exit 1; }
 	@echo "building the page Grasp"
 	@cd web && npm ci --silent --no-audit --no-fund && node build.mjs
+
+release: web
+	@deploy/release.sh $(PYTHON) build/dist
 
 openxr: $(READY)
 	@$(BIN)/python -m rhot_bridge.openxr_layer build/openxr/librhot_openxr.so && echo "build/openxr/librhot_openxr.so is built"

@@ -7,7 +7,6 @@ from typing import Final
 
 import click
 
-from rhot import __version__
 from rhot.cli.group import LazyCommand, LazyGroup, MainGroup
 from rhot.text import PrintableFormatter
 
@@ -127,8 +126,18 @@ _EVALUATIONS: Final = {
 }
 
 
+def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted and not context.resilient_parsing:
+        from rhot.version import full_version  # noqa: PLC0415  # it starts git
+
+        click.echo(f"rhot {full_version()}")
+        context.exit()
+
+
 @click.group(cls=MainGroup, lazy=_COMMANDS, plugins="rhot.commands", context_settings={"max_content_width": 110})
-@click.version_option(__version__, prog_name="rhot")
+@click.option(
+    "--version", is_flag=True, expose_value=False, is_eager=True, callback=_show_version, help="Show the version."
+)
 @click.option("-v", "--verbose", count=True, help="Say more; for debugging.")
 @click.option("-q", "--quiet", is_flag=True, help="Say only what goes wrong.")
 def main(verbose: int, quiet: bool) -> None:

@@ -30,7 +30,7 @@ class CameraConfig(FileModel):
 
     Attributes:
         source: kind of source.
-        device: V4L2 device (`/dev/video0` or its number) or libcamera index.
+        device: V4L2 device (`/dev/video0` or its number), number of a webcam, or libcamera index.
         path: folder of pictures or video file, relative to the rig folder.
         width, height: pixels.
         rate_hz: frames per second.
@@ -47,7 +47,7 @@ class CameraConfig(FileModel):
         loop: start a folder or a video again at its end.
     """
 
-    source: Literal["picamera2", "v4l2", "images", "video", "simulated"] = "picamera2"
+    source: Literal["picamera2", "v4l2", "webcam", "images", "video", "simulated"] = "picamera2"
     device: int | str = 0
     path: str | None = None
     width: Annotated[int, Field(ge=16, le=8192)] = 640

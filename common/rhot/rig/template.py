@@ -39,7 +39,7 @@ length_m = {length_m}
 
 _CAMERA: Final = """
 [cameras.{name}]
-# picamera2 (a Pi's own camera), v4l2 (USB), images (a folder), video (a file) or simulated.
+# picamera2 (a Pi's own), v4l2 (USB), webcam (USB on Windows, macOS), images (a folder), video (a file) or simulated.
 source = "{source}"
 # Which one, where a machine has several: 0, 1, … of a Pi; of USB cameras the name that stays after unplugging, as
 # `ls /dev/v4l/by-id` lists it: "/dev/v4l/by-id/usb-…-video-index0".

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 import shlex
-import subprocess
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,6 +12,8 @@ from typing import Any, Final
 
 import click
 from click.core import ParameterSource
+
+from rhot.version import commit
 
 _PACKAGES: Final = ("rhot", "numpy", "opencv-python-headless", "eclipse-zenoh", "scipy")
 _OUTPUTS: Final = ("json_path", "page_path", "as_json", "keep_path")
@@ -37,7 +38,7 @@ def provenance() -> dict[str, Any]:
             "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         },
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}},
-        "commit": _commit(Path(__file__).parent),
+        "commit": commit(),
     }
 
 
@@ -72,18 +73,3 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-
-
-def _commit(folder: Path) -> str | None:
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--exclude=*"],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=10,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return described.stdout.strip() or None

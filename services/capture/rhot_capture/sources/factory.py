@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import sys
 
 from rhot.clock import NodeClock
 from rhot.errors import ConfigError
@@ -34,9 +34,13 @@ def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
         from rhot_capture.sources.recorded import RecordedSource  # noqa: PLC0415
 
         return RecordedSource.from_rig(name, rig, clock)
-    if camera.source == "v4l2" and os.name == "nt":
-        raise ConfigError(f'camera {name}: source = "v4l2" is for Linux')
+    if camera.source == "webcam":
+        from rhot_capture.sources.webcam import WebcamSource  # noqa: PLC0415
+
+        return WebcamSource(name, camera)
     if camera.source == "v4l2":
+        if sys.platform in ("win32", "darwin"):
+            raise ConfigError(f'camera {name}: source = "v4l2" is of Linux; write source = "webcam"')
         from rhot_capture.sources.v4l2 import V4l2Source  # noqa: PLC0415
 
         return V4l2Source(name, camera)
