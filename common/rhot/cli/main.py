@@ -128,7 +128,7 @@ _EVALUATIONS: Final = {
 
 def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
     if wanted and not context.resilient_parsing:
-        from rhot.version import full_version  # noqa: PLC0415  # it starts git
+        from rhot.cli.version import full_version  # noqa: PLC0415  # it starts git
 
         click.echo(f"rhot {full_version()}")
         context.exit()

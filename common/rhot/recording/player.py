@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from rhot.priority import wake_first
+from rhot.operation.priority import wake_first
 from rhot.recording.mcap.reader import RecordedSample
 
 LATE_NS: Final = 2_000_000

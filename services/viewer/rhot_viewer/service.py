@@ -18,7 +18,7 @@ from rhot.calibration_step import StepContext
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
 from rhot.messages import Control, ServiceStatus
-from rhot.priority import lower_priority
+from rhot.operation.priority import lower_priority
 from rhot.rig import BusConfig, Rig
 from rhot.rig.file_model import FileModel
 from rhot.rig.folder import latest_rig

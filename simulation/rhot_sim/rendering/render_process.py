@@ -23,7 +23,7 @@ import numpy as np
 from rhot.arrays import ImageArray
 from rhot.errors import DeviceError
 from rhot.geometry.camera import CameraModel
-from rhot.priority import lower_priority
+from rhot.operation.priority import lower_priority
 from rhot.rig import load_rig
 
 # What the child processes that draw simulated pictures have in common.

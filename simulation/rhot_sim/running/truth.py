@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
 from rhot.messages import Control
-from rhot.priority import lower_priority
+from rhot.operation.priority import lower_priority
 from rhot.rig import Rig, load_rig
 from rhot.rig.config import SimConfig
 from rhot.rig.folder import latest_rig

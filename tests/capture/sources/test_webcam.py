@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +17,7 @@ from rhot.clock import SystemClock
 from rhot.errors import ConfigError, DeviceError
 from rhot.rig import load_rig
 from rhot.rig.config import CameraConfig
-from rhot_capture.sources import factory, open_source
+from rhot_capture.sources import open_source
 from rhot_capture.sources.webcam import WebcamSource
 
 PERIOD_NS = 33_333_333
@@ -166,7 +167,7 @@ def test_elsewhere_v4l2_is_called_webcam(rig_folder: Path, monkeypatch: pytest.M
     for source, answer in (("webcam", None), ("v4l2", 'write source = "webcam"')):
         cameras = {"left": CameraConfig.model_validate({"source": source})}
         rig = dataclasses.replace(found, config=found.config.model_copy(update={"cameras": cameras}))
-        monkeypatch.setattr(factory.sys, "platform", "win32")
+        monkeypatch.setattr(sys, "platform", "win32")
         try:
             if answer is None:
                 assert isinstance(open_source("left", rig, SystemClock()), WebcamSource)

@@ -13,7 +13,7 @@ from typing import Any, Final
 import click
 from click.core import ParameterSource
 
-from rhot.version import commit
+from rhot.cli.version import commit
 
 _PACKAGES: Final = ("rhot", "numpy", "opencv-python-headless", "eclipse-zenoh", "scipy")
 _OUTPUTS: Final = ("json_path", "page_path", "as_json", "keep_path")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from rhot.clock import SystemClock
-from rhot.priority import lower_priority
+from rhot.operation.priority import lower_priority
 from rhot.rig import BusConfig, Rig
 from rhot.service.runner import serve
 from rhot_viewer.browser.access import Access, page_address

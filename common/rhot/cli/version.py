@@ -13,7 +13,7 @@ def commit() -> str | None:
 
     A wheel brings it in a file (`hatch_build.py`); elsewhere the repository around the package is asked.
     """
-    folder = Path(__file__).parent
+    folder = Path(__file__).parents[1]
     packed = folder / "commit"
     try:
         if packed.exists():
