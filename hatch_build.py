@@ -21,7 +21,7 @@ class Hook(BuildHookInterface[Any]):
             build_data["force_include"][str(root / "openxr")] = "rhot_bridge/openxr"
         # A source distribution brings the file, among the package's own.
         if not (root / package).exists() and (commit := _commit(root)):
-            file = Path(self.directory) / "commit"
+            file = root / "build" / "commit"
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(commit + "\n", encoding="utf-8")
             build_data["force_include"][str(file)] = str(package if self.target_name == "sdist" else "rhot/commit")
