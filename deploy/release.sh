@@ -19,9 +19,10 @@ rm -rf "$folder"
 "$work/tools/bin/twine" check --strict "$folder"/*
 wheel=$(echo "$folder"/*.whl)
 
+"$python" -m zipfile --list "$wheel" >"$work/list"
 for wanted in rhot_viewer/static/index.html rhot_viewer/static/grasp.js rhot_viewer/static/style.css \
     rhot_bridge/openxr/rhot_layer.c rhot_bridge/openxr/rhot_hands.h rhot/commit; do
-    "$python" -m zipfile --list "$wheel" | grep -q "^$wanted " || {
+    grep -q "^$wanted " "$work/list" || {
         echo "release: $wheel lacks $wanted" >&2
         exit 1
     }
