@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import cv2
 import numpy as np
 
 from rhot.arrays import FloatArray
@@ -30,6 +29,8 @@ def inverse_covariance(S: FloatArray) -> FloatArray:
     Raises:
         LinAlgError: it is singular.
     """
+    import cv2  # noqa: PLC0415  # ik, which does not come here, is installed without OpenCV
+
     regular, inverse = cv2.invert(S, flags=cv2.DECOMP_CHOLESKY)
     # What rounding has left without a positive pivot may still have an inverse.
     return np.asarray(inverse, dtype=np.float64) if regular else np.asarray(np.linalg.inv(S), dtype=np.float64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -164,6 +165,19 @@ def test_a_service_whose_packages_are_missing_says_what_to_install() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "pip install 'rhot[capture]'" in done.stderr
+
+
+@pytest.mark.parametrize("role", ["ik", "objects", "bridge", "viewer"])
+def test_roles_that_are_installed_without_opencv_load_without_it(role: str) -> None:
+    code = f"import sys; sys.modules['cv2'] = None; import rhot_{role}.command"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_version_names_the_commit() -> None:
+    done = rhot("--version")
+    assert done.returncode == 0
+    assert re.fullmatch(r"rhot \d+\.\d+\.\d+( \([0-9a-f]{7,}(-dirty)?\))?\n", done.stdout), done.stdout
 
 
 def test_a_reader_that_goes_away_is_no_error_worth_a_traceback() -> None:
