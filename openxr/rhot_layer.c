@@ -4,8 +4,8 @@
  * Hands come from shared memory, see rhot_hands.h. Where the runtime has hands of its own, RHOT's win while they are
  * tracked. A program that does not ask for hands gets the runtime's own functions, and none of this.
  *
- * xrLocateHandJointsEXT neither blocks nor allocates. Extensions: OpenXR 1.1 specification, sections 12.30 (hand tracking),
- * 12.31 (data source), 12.54 (aim); the layer's part in the loader: OpenXR loader design, "API layer interaction".
+ * xrLocateHandJointsEXT neither blocks nor allocates. Sources: the OpenXR specification of the three extensions, and the
+ * design of the OpenXR loader for what a layer has to do.
  */
 #define _GNU_SOURCE
 #include <math.h>
@@ -143,6 +143,8 @@ static int64_t now_ns(void)
 
 static const RhotHands *map_hands(void)
 {
+	if (atomic_load(&shared))
+		return NULL; /* one that is mapped stays the one of its name */
 	HANDLE file = OpenFileMappingA(FILE_MAP_READ, FALSE, "Local\\rhot_hands");
 	if (!file)
 		return NULL;
