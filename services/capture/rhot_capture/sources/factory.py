@@ -39,7 +39,8 @@ def open_source(name: str, rig: Rig, clock: NodeClock) -> Source:
 
         return WebcamSource(name, camera)
     if camera.source == "v4l2":
-        if sys.platform in ("win32", "darwin"):
+        has_v4l2 = sys.platform == "linux"
+        if not has_v4l2:
             raise ConfigError(f'camera {name}: source = "v4l2" is of Linux; write source = "webcam"')
         from rhot_capture.sources.v4l2 import V4l2Source  # noqa: PLC0415
 
