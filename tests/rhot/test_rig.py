@@ -51,7 +51,7 @@ def test_the_field_of_view_gives_the_nominal_focal_length(rig_folder: Path) -> N
 @pytest.mark.parametrize(
     ("old", "new", "names"),
     [
-        ('source = "picamera2"', 'source = "webcam"', "cameras.left.source"),
+        ('source = "picamera2"', 'source = "telescope"', "cameras.left.source"),
         ("width = 640", "width = 1e9", "cameras.left.width"),
         ("rate_hz = 60", "rate_hz = -1", "cameras.left.rate_hz"),
         ("gain = 4.0", "gian = 4.0", "cameras.left.gian: no such field; did you mean gain?"),
