@@ -19,13 +19,13 @@ from rhot_sim.running.processes import free_endpoint
 def simulated_rig(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> tuple[Path, str]:
     """A simulated rig folder and its router's endpoint.
 
-    With the parameter `still` its hand never moves, and its cameras run at 30 Hz: two cores that draw both at 60 are
+    With the parameter `still` its hand never moves, and its cameras run at 15 Hz: two cores that draw both at 60 are
     busy with nothing else. With `slow` its cameras leave the machine to other tests.
     """
     endpoint = free_endpoint("tcp/127.0.0.1:0")
     path = tmp_path_factory.mktemp("rig")
     kind = getattr(request, "param", None)
-    write_simulated_rig(path, endpoint=endpoint, rate_hz={"slow": 15.0, "still": 30.0}.get(str(kind), 60.0))
+    write_simulated_rig(path, endpoint=endpoint, rate_hz=15.0 if kind in ("slow", "still") else 60.0)
     if kind == "still":
         rig_file = path / RIG_FILE
         text = rig_file.read_text()
