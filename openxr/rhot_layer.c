@@ -133,12 +133,18 @@ static _Atomic int64_t looked_ns; /* when a bridge was last looked for */
 
 #ifdef _WIN32
 
-static int64_t now_ns(void)
+static int64_t count_ns(LARGE_INTEGER count)
 {
-	LARGE_INTEGER count, rate;
-	QueryPerformanceCounter(&count);
+	LARGE_INTEGER rate;
 	QueryPerformanceFrequency(&rate);
 	return count.QuadPart / rate.QuadPart * SECOND_NS + count.QuadPart % rate.QuadPart * SECOND_NS / rate.QuadPart;
+}
+
+static int64_t now_ns(void)
+{
+	LARGE_INTEGER count;
+	QueryPerformanceCounter(&count);
+	return count_ns(count);
 }
 
 static const RhotHands *map_hands(void)
@@ -155,11 +161,16 @@ static const RhotHands *map_hands(void)
 
 #else
 
+static int64_t timespec_ns(struct timespec time)
+{
+	return time.tv_sec * SECOND_NS + time.tv_nsec;
+}
+
 static int64_t now_ns(void)
 {
 	struct timespec now;
 	clock_gettime(CLOCK_MONOTONIC, &now);
-	return now.tv_sec * SECOND_NS + now.tv_nsec;
+	return timespec_ns(now);
 }
 
 /* The file, or null: not there, somebody else's, or too small. A mapping is kept for good, since another thread may be
@@ -482,16 +493,11 @@ static int64_t machine_ns(XrTime time, int64_t now)
 	if (!layer.convert_time)
 		return now;
 #ifdef _WIN32
-	LARGE_INTEGER count, rate;
-	if (XR_FAILED(layer.convert_time(layer.instance, time, &count)))
-		return now;
-	QueryPerformanceFrequency(&rate);
-	return count.QuadPart / rate.QuadPart * SECOND_NS + count.QuadPart % rate.QuadPart * SECOND_NS / rate.QuadPart;
+	LARGE_INTEGER count;
+	return XR_FAILED(layer.convert_time(layer.instance, time, &count)) ? now : count_ns(count);
 #else
 	struct timespec then;
-	if (XR_FAILED(layer.convert_time(layer.instance, time, &then)))
-		return now;
-	return then.tv_sec * SECOND_NS + then.tv_nsec;
+	return XR_FAILED(layer.convert_time(layer.instance, time, &then)) ? now : timespec_ns(then);
 #endif
 }
 

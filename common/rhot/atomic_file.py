@@ -23,8 +23,12 @@ from rhot.errors import ConfigError
 
 if sys.platform == "win32":
     import msvcrt
+
+    _HELD: Final = PermissionError
 else:
     import fcntl
+
+    _HELD: Final = BlockingIOError
 
 _LOCK_LIMIT_S: Final = 5.0
 """A change of rig.toml takes milliseconds, on a worn SD card perhaps a second; who holds the lock longer hangs."""
@@ -219,11 +223,11 @@ def _lock(handle: int, folder: Path) -> None:
     while True:
         try:
             if sys.platform == "win32":
-                # Of the first byte; the error of one that is locked is PermissionError.
+                # Of the first byte.
                 msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
             else:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except (BlockingIOError, PermissionError) as error:
+        except _HELD as error:
             if time.monotonic() > deadline:
                 raise ConfigError(
                     f"{folder}: another program has been changing it for {_LOCK_LIMIT_S:.0f} s; end it "

@@ -315,15 +315,7 @@ class CaptureService:
 
     async def run(self, node: Node, start: Control) -> None:
         """Open the camera, start at the start time (or join late) and publish until cancelled."""
-        before = self._rig
-        self._follow_rig_file()
-        source = self._ahead
-        self._ahead = None
-        if source is not None and self._rig.config != before.config:
-            source.close()
-            source = None
-        if source is None:
-            source = open_source(self.instance, self._rig, self._clock)
+        source = self._next_source()
         start_ns = node.node_clock.now_ns() + start.start_t_ns - node.clock.now_ns()
         grabber = grab(source, self.instance)
 
@@ -349,6 +341,16 @@ class CaptureService:
         finally:
             self._source, self._running = None, False
             await grabber.stop()
+
+    def _next_source(self) -> Source:
+        """Return the source of a session, by the rig file as it is now: the one made ahead, if it still fits."""
+        source, self._ahead, before = self._ahead, None, self._rig.config
+        self._follow_rig_file()
+        if source is not None and self._rig.config == before:
+            return source
+        if source is not None:
+            source.close()
+        return open_source(self.instance, self._rig, self._clock)
 
     def _follow_rig_file(self) -> None:
         """Apply changes of this camera in `rig.toml`, as far as a running service can."""

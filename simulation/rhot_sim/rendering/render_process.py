@@ -84,10 +84,10 @@ class RenderProcess:
             width, height: of its pictures, pixels.
         """
         self._camera = camera
-        self._file, path = _shared_file(camera)
+        self._file, self._path = _shared_file(camera)
         self._ring = _ring(self._file, width, height)
         self._child = subprocess.Popen(
-            [sys.executable, "-m", __name__, str(rig_path), camera, path],
+            [sys.executable, "-m", __name__, str(rig_path), camera, self._path],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
@@ -134,6 +134,9 @@ class RenderProcess:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
+            if sys.platform != "linux":
+                with contextlib.suppress(OSError):  # Windows keeps it while the ring is mapped
+                    Path(self._path).unlink()
 
     def _wait_for_byte(self) -> None:
         try:
@@ -148,12 +151,11 @@ class RenderProcess:
 
 
 def _shared_file(camera: str) -> tuple[int, str]:
-    """Return a new file in memory, and the path by which a child opens it; it is gone when nobody has it open."""
+    """Return a new file, and the path by which a child opens it; on Linux it is in memory and goes by itself."""
     if sys.platform == "linux":
         file = os.memfd_create(f"rhot-{camera}")
         return file, f"/proc/{os.getpid()}/fd/{file}"
     else:  # noqa: RET505  # for mypy, which reads what follows a platform's return as dead
-        # Forgotten as all temporary files are: later.
         return tempfile.mkstemp(prefix=f"rhot-{camera}-")
 
 
