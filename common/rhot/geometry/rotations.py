@@ -94,6 +94,16 @@ def vector_from_rotation(R: FloatArray) -> FloatArray:
     return np.array([x * scale, y * scale, z * scale])
 
 
+def rotation_vectors(R: FloatArray) -> FloatArray:
+    """Return the rotation vectors (..., 3), radians, of rotations (..., 3, 3)."""
+    xyzw = quaternion_from_rotation(R)
+    xyzw = np.where(xyzw[..., 3:] < 0.0, -xyzw, xyzw)
+    sine = np.linalg.norm(xyzw[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, xyzw[..., 3:])
+    vectors: FloatArray = xyzw[..., :3] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
+    return vectors
+
+
 def rotation_between(R0: FloatArray, R1: FloatArray) -> FloatArray:
     """Return the rotation vector (3,), radians, in the outer frame, that takes R0 (3, 3) to R1: R1 = exp([v]×)·R0."""
     return vector_from_rotation(R1 @ R0.T)

@@ -25,7 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import cross_matrix, nearest_rotation, quaternion_from_rotation, rigid
+from rhot.geometry.rotations import (
+    cross_matrix,
+    nearest_rotation,
+    quaternion_from_rotation,
+    rigid,
+    rotation_vectors,
+)
 from rhot.messages import Side
 from rhot_feet.imu.samples import GRAVITY_M_S2
 from rhot_sim.walker.foot_path import OUTWARDS, SIDES, PlannedStep
@@ -192,7 +198,7 @@ class AnkleImu:
         before, now, after = (self._ankles(t + shift) @ self.T_ankle_sensor for shift in (-half, 0.0, half))
         acceleration = (after[:, :3, 3] - 2.0 * now[:, :3, 3] + before[:, :3, 3]) / half**2
         rotation = np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]
-        return acceleration, now[:, :3, :3], _rotation_vectors(rotation) / (2.0 * half)
+        return acceleration, now[:, :3, :3], rotation_vectors(rotation) / (2.0 * half)
 
     def _tilt_in_motion(self, t: FloatArray) -> FloatArray:
         """Return the tilt error (N, 3), radians, about the rig's axes; none about the vertical."""
@@ -269,13 +275,3 @@ class AnkleImu:
                 start_s, length_s = rng.uniform(0.0, _GAP_SLOT_S - 0.2), rng.uniform(0.05, 0.2)
                 alone |= (slot == each) & (into_s >= start_s) & (into_s < start_s + length_s)
         return alone
-
-
-def _rotation_vectors(R: FloatArray) -> FloatArray:
-    """Return rotation vectors (N, 3), radians, of rotations (N, 3, 3) by less than half a turn."""
-    quaternion = quaternion_from_rotation(R)
-    quaternion = quaternion * np.where(quaternion[:, 3:] < 0.0, -1.0, 1.0)
-    sine = np.linalg.norm(quaternion[:, :3], axis=1)
-    angle = 2.0 * np.arctan2(sine, quaternion[:, 3])
-    vectors: FloatArray = quaternion[:, :3] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)[:, None]
-    return vectors

@@ -24,8 +24,9 @@ from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
 from rhot.clock import RigClock
 from rhot.errors import DeviceError
-from rhot.geometry.rotations import product_matrix
+from rhot.geometry.rotations import inverse, rigid, rotation_from_quaternion, rotation_vectors, rotation_y
 from rhot.rig import BridgeConfig
+from rhot_bridge.axes import Converter
 from rhot_bridge.clock_map import ClockMap
 from rhot_bridge.scene import Axes, BridgedHand, Scene, Tracked
 
@@ -162,22 +163,9 @@ class Motion:
         first, seconds = samples[0], (hand.t_ns - samples[0].t_ns) / 1e9
         if seconds <= 0.0:
             return np.zeros((len(JOINTS), 3)), np.zeros((len(JOINTS), 3))
-        return (hand.positions - first.positions) / seconds, _turns(first.orientations, hand.orientations) / seconds
-
-
-def _turns(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the rotation vectors (N, 3), radians, from unit quaternions (N, 4), x y z w, to others."""
-    x, y, z, w = (after[:, column] for column in range(4))
-    a, b, c, d = (before * np.array([-1.0, -1.0, -1.0, 1.0])).T
-    vector = np.column_stack(
-        [w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a, w * c + x * b - y * a + z * d]
-    )
-    cosine = w * d - x * a - y * b - z * c
-    vector[cosine < 0.0] *= -1.0
-    sine = np.linalg.norm(vector, axis=1)
-    angle = 2.0 * np.arctan2(sine, np.abs(cosine))
-    # Of small turns the ratio tends to 2.
-    return vector * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)[:, None]
+        before, now = (rotation_from_quaternion(sample.orientations) for sample in (first, hand))
+        turns = rotation_vectors(now @ before.swapaxes(1, 2))
+        return (hand.positions - first.positions) / seconds, turns / seconds
 
 
 # The bridge's output.
@@ -211,12 +199,8 @@ class OpenXrOutput:
     def use_config(self, config: BridgeConfig) -> None:
         """Follow changed settings."""
         self._predicted = config.predicted == "send"
-        *shift, yaw_deg = config.offset
-        half = math.radians(yaw_deg) / 2.0
-        self._shift = np.array(shift)
-        self._turn = product_matrix(0.0, math.sin(half), 0.0, math.cos(half)).T
-        c, s = math.cos(2.0 * half), math.sin(2.0 * half)
-        self._rotate = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T
+        *shift, turn_deg = config.offset
+        self._offset = Converter("stage", inverse(rigid(rotation_y(math.radians(turn_deg)), np.array(shift))))
 
     async def open(self) -> None:
         """Map the memory.
@@ -244,7 +228,7 @@ class OpenXrOutput:
         if not self._map.follow(self._clock, monotonic_ns):
             return False
         self._written_ns[side] = tracked.t_ns
-        hand = tracked.moved(tracked.positions @ self._rotate + self._shift, tracked.orientations @ self._turn)
+        hand = self._offset.poses(tracked)
         linear, angular = self._motions[side].add(hand)
         state = MEASURED if hand.state == "measured" else PREDICTED if self._predicted else ABSENT
         joints = np.zeros(len(JOINTS), JOINT)

@@ -15,6 +15,7 @@ from rhot.geometry.rotations import (
     quaternion_from_rotation,
     rotation_from_quaternion,
     rotation_from_vector,
+    rotation_vectors,
 )
 
 # From what inertial sensors send to specific force, angular rate and a level orientation.
@@ -135,16 +136,6 @@ class RawImuConverter:
             R = rotation_from_vector((0.5 * span_s) * np.array([up[1], -up[0], 0.0])) @ R
         self._R = orthonormal(R)
         return self._R
-
-
-def rotation_vectors(R: FloatArray) -> FloatArray:
-    """Return the rotation vectors (..., 3), radians, of rotations (..., 3, 3)."""
-    xyzw = quaternion_from_rotation(R)
-    xyzw = np.where(xyzw[..., 3:] < 0.0, -xyzw, xyzw)
-    sine = np.linalg.norm(xyzw[..., :3], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, xyzw[..., 3:])
-    vectors: FloatArray = xyzw[..., :3] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
-    return vectors
 
 
 # Inertial samples, independent of the sensor's protocol, and the interface of their sources.

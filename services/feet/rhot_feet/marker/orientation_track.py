@@ -18,8 +18,7 @@ from typing import Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot.geometry.rotations import rotation_cosine, rotation_from_vector
-from rhot_feet.imu.samples import rotation_vectors
+from rhot.geometry.rotations import rotation_cosine, rotation_from_vector, rotation_vectors
 from rhot_feet.marker.pose import MarkerPose
 
 _MOST_NIS: Final = 24.0
