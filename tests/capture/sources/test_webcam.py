@@ -28,6 +28,8 @@ class Driver:
 
     def __init__(self, controls: dict[int, float], frames: int = 100) -> None:
         self.controls = controls
+        self.times_ns = iter(range(0, 10**12, PERIOD_NS))
+        self.now_ns = 0
         self.frames = frames
         self.released = False
 
@@ -45,6 +47,7 @@ class Driver:
 
     def read(self) -> tuple[bool, Any]:
         self.frames -= 1
+        self.now_ns = next(self.times_ns)
         return (True, np.zeros((480, 640, 3), np.uint8)) if self.frames >= 0 else (False, None)
 
     def release(self) -> None:
@@ -60,8 +63,9 @@ def webcam(driver: Driver, times_ns: list[int] | None = None, **fields: Any) -> 
     camera = CameraConfig.model_validate({"source": "webcam", "rate_hz": 30.0, "exposure_s": 1 / 256, **fields})
     opencv = SimpleNamespace(**{name: getattr(cv2, name) for name in dir(cv2) if name.startswith("CAP_")})
     opencv.VideoCapture = lambda _: driver
-    clock = iter(times_ns or range(0, 10**12, PERIOD_NS))
-    return WebcamSource("left", camera, opencv, lambda: next(clock))
+    if times_ns:
+        driver.times_ns = iter(times_ns)
+    return WebcamSource("left", camera, opencv, lambda: driver.now_ns)
 
 
 def test_a_file_is_read_to_its_end(tmp_path: Path) -> None:

@@ -8,20 +8,14 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
-import time
-from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
-import cv2
 import numpy as np
 
 from rhot.errors import ConfigError, DeviceError
-from rhot.rig.config import CameraConfig
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
+from rhot_capture.sources.opencv_camera import OpenCvCamera
 
 logger = logging.getLogger(__name__)
 
@@ -29,47 +23,15 @@ _MANUAL: Final = 0.25
 """CAP_PROP_AUTO_EXPOSURE of Media Foundation and DirectShow: 0.25 manual, 0.75 automatic (OpenCV's cap_dshow.cpp)."""
 _TOLERANCE: Final = 0.51
 """Of the exposure in powers of two: drivers have whole ones."""
-_SILENT_READS: Final = 5
 
 
-class WebcamSource:
+class WebcamSource(OpenCvCamera):
     """A camera by its number, or a video file by its path.
 
     A frame's time is that of its arrival less read-out and exposure: late by the transfer, which nobody states here.
     """
 
-    def __init__(
-        self,
-        name: str,
-        camera: CameraConfig,
-        opencv: ModuleType | Any = cv2,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
-        """Prepare; `open` touches the device.
-
-        Args:
-            name: of the camera.
-            camera: its configuration.
-            opencv: the module that provides `VideoCapture`; replaced in tests.
-            now_ns: the clock of the frames' times.
-        """
-        self._name = name
-        self._camera = camera
-        self._cv = opencv
-        self._now_ns = now_ns
-        self._capture: Any = None
-        self._start_ns = 0
-        self._index = -1
-        self._last_ns: int | None = None
-        self._problem = ""
-        self._closing = threading.Event()
-        # `release` frees OpenCV's buffers, so it must not run during a `read` on another thread.
-        self._reading = threading.Lock()
-
-    @property
-    def problem(self) -> str:
-        """What the driver did not lock, for the status; empty when all is."""
-        return self._problem
+    _last_ns: int | None = None
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
         """Open and lock the camera; frames before `start_ns` are discarded.
@@ -92,35 +54,6 @@ class WebcamSource:
             self.close()
             raise
 
-    def read(self) -> Frame | None:
-        """Wait for the next frame; None after `close` and at the end of a file.
-
-        Raises:
-            DeviceError: the camera delivers no more.
-        """
-        silent = 0
-        while not self._closing.is_set():
-            with self._reading:
-                if self._capture is None:
-                    return None
-                ok, image = self._capture.read()
-                arrived_ns = self._now_ns()
-            if ok:
-                silent = 0
-                frame = self._frame(np.asarray(image, dtype=np.uint8), arrived_ns)
-                if frame.t_first_row_ns >= self._start_ns:
-                    return frame
-            elif isinstance(self._device(), str):
-                return None
-            else:
-                silent += 1
-                if silent >= _SILENT_READS and not self._closing.is_set():
-                    raise DeviceError(
-                        f"camera {self._name}: {self._camera.device} stopped delivering; unplugged, or short of USB "
-                        "bandwidth (try a lower rate_hz or another port)"
-                    )
-        return None
-
     def apply(self, settings: CameraSettings) -> None:
         """Set the exposure while running.
 
@@ -128,28 +61,24 @@ class WebcamSource:
             ConfigError: another setting, or an exposure that the driver refuses.
             DeviceError: the camera is not open.
         """
-        if self._capture is None:
-            raise DeviceError(f"camera {self._name}: not open; start it first")
         camera = self._camera
         others = ("gain", "white_balance", "focus_dioptres", "saturation", "contrast", "brightness")
         changed = [name for name in others if getattr(settings, name) != getattr(camera, name)]
         if changed:
             raise ConfigError(f"camera {self._name}: a webcam's driver has no units for {', '.join(changed)}")
-        if not self._set_exposure(self._capture, settings.exposure_s):
-            self._set_exposure(self._capture, camera.exposure_s)
-            raise ConfigError(f"camera {self._name}: its driver refuses exposure_s = {settings.exposure_s:g}")
+        with self._setting:
+            if self._capture is None:
+                raise DeviceError(f"camera {self._name}: not open; start it first")
+            if not self._set_exposure(self._capture, settings.exposure_s):
+                self._set_exposure(self._capture, camera.exposure_s)
+                raise ConfigError(f"camera {self._name}: its driver refuses exposure_s = {settings.exposure_s:g}")
 
-    def close(self) -> None:
-        """Release the device, after a read in progress has ended."""
-        self._closing.set()
-        with self._reading:
-            capture, self._capture = self._capture, None
-            if capture is not None:
-                capture.release()
+    def _ends(self) -> bool:
+        return isinstance(self._device(), str)
 
-    def _device(self) -> int | str:
-        device = self._camera.device
-        return int(device) if str(device).isdecimal() else str(Path(str(device)))
+    def _grab(self, capture: Any) -> Frame | None:
+        ok, image = capture.read()
+        return self._frame(np.asarray(image, dtype=np.uint8), self._now_ns()) if ok else None
 
     def _configure(self, capture: Any) -> None:
         camera, cv = self._camera, self._cv

@@ -6,7 +6,6 @@ import ctypes
 import logging
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -21,6 +20,7 @@ from rhot.rig.config import CameraConfig
 from rhot.rig.sections import PICTURE_NEUTRAL
 from rhot_capture.settings import CameraSettings
 from rhot_capture.sources.frame import Frame
+from rhot_capture.sources.opencv_camera import OpenCvCamera
 from rhot_capture.sources.v4l2.controls import (
     AUTOGAIN,
     IDENTIFIERS,
@@ -188,11 +188,9 @@ _LOG = logging.getLogger(__name__)
 
 _SELECT_LIMIT: Final = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
 """Seconds after which OpenCV stops waiting for a frame (default 10); it reads this environment variable once."""
-_SILENCE_S: Final = 3.0
-"""Time without a frame after which a camera counts as disconnected; useful cameras deliver at least 5 Hz."""
 
 
-class V4l2Source:
+class V4l2Source(OpenCvCamera):
     """A camera behind `/dev/video*`.
 
     Frames carry the driver's own timestamp (monotonic clock), which by its label marks the start of the exposure (as of
@@ -220,32 +218,16 @@ class V4l2Source:
             query: asks the driver of its buffers; replaced in tests.
             stamps_arrival: whether a device's driver stamps the arrival of the first packet; replaced in tests.
         """
-        self._name = name
-        self._camera = camera
-        self._cv = opencv
-        self._now_ns = now_ns
+        super().__init__(name, camera, opencv, now_ns)
         self._query = query
         self._stamps_arrival = stamps_arrival
-        self._capture: Any = None
         self._buffers: BufferQuery | None = None
         self._stamps = "end of frame"
         self._asked_exposure_s = self._exposure_s = camera.exposure_s
         self._picture: dict[str, float] = dict(PICTURE_NEUTRAL)
-        self._start_ns = 0
         self._period_ns = round(1e9 / camera.rate_hz)
-        self._index = -1
         self._last: tuple[int | None, int | None] = None, None
         self._trusts_driver = True
-        self._problem = ""
-        self._closing = threading.Event()
-        # `release` frees OpenCV's buffers, so it must not run during a `read` on another thread.
-        self._reading = threading.Lock()
-        self._setting = threading.Lock()
-
-    @property
-    def problem(self) -> str:
-        """Settings that the driver refused, for the status; empty when none."""
-        return self._problem
 
     def open(self, start_ns: int, start_t_ns: int | None = None) -> None:
         """Open and lock the camera; frames before `start_ns` are discarded.
@@ -270,33 +252,6 @@ class V4l2Source:
             if isinstance(error, RhotError) or not isinstance(error, Exception):
                 raise
             raise DeviceError(f"camera {self._name}: {self._camera.device}: {type(error).__name__}: {error}") from error
-
-    def read(self) -> Frame | None:
-        """Wait for the next frame.
-
-        Raises:
-            DeviceError: the camera delivers no more.
-        """
-        failed, begun_ns = 0, self._now_ns()
-        while not self._closing.is_set():
-            with self._reading:
-                if self._capture is None:
-                    return None
-                frame = self._grab(self._capture)
-            if frame is None:
-                failed += 1
-                silent_s = 1e-9 * (self._now_ns() - begun_ns)
-                # Consecutive failed reads after which a camera counts as disconnected.
-                if not self._closing.is_set() and (failed >= 5 or silent_s >= _SILENCE_S):
-                    raise DeviceError(
-                        f"camera {self._name}: {self._camera.device} stopped delivering {silent_s:.1f} s ago; "
-                        "unplugged, or short of USB bandwidth (try a lower rate_hz or another port)"
-                    )
-                continue
-            failed, begun_ns = 0, self._now_ns()
-            if frame.t_first_row_ns >= self._start_ns:
-                return frame
-        return None
 
     def apply(self, settings: CameraSettings) -> None:
         """Set exposure and picture while running.
@@ -328,20 +283,10 @@ class V4l2Source:
                 self._asked_exposure_s = settings.exposure_s
                 self._exposure_s = controls.exposure_s(settings.exposure_s)
 
-    def close(self) -> None:
-        """Release the device, after a read in progress has ended."""
-        self._closing.set()
-        with self._reading, self._setting:
-            capture, self._capture = self._capture, None
-            buffers, self._buffers = self._buffers, None
-            if buffers is not None:
-                buffers.close()
-            if capture is not None:
-                capture.release()
-
-    def _device(self) -> int | str:
-        device = self._camera.device
-        return int(device) if isinstance(device, str) and device.isdecimal() else device
+    def _release(self) -> None:
+        buffers, self._buffers = self._buffers, None
+        if buffers is not None:
+            buffers.close()
 
     def _configure(self) -> None:
         camera, controls = self._camera, DriverControls(self._cv, self._capture)
