@@ -20,8 +20,8 @@ from bus_watch import PATIENCE_S
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.bus import Bus
-from rhot.clock import LocalRigClock, SystemClock
-from rhot.messages import Control, HandPose, ObjectPose, Space
+from rhot.clock import LocalRigClock, SystemClock, difference_ns
+from rhot.messages import Control, Event, HandPose, ObjectPose, Space
 from rhot.rig import BridgeConfig, BusConfig
 from rhot.service.clock_sync import serve_clock
 from rhot_bridge.clock_map import STEP_NS, TIME_CONSTANT_NS, ClockMap
@@ -40,7 +40,7 @@ import labrecorder, pylsl
 wanted, seconds, out = set(json.loads(sys.argv[1])), float(sys.argv[2]), sys.argv[3]
 deadline = time.monotonic() + 60.0
 while True:
-    found = {info.name(): info for info in pylsl.resolve_byprop("type", "MoCap", minimum=len(wanted), timeout=2.0)}
+    found = {info.name(): info for info in pylsl.resolve_streams(2.0)}
     if wanted <= found.keys():
         break
     assert time.monotonic() < deadline, f"only {sorted(found)}"
@@ -155,7 +155,7 @@ async def test_labrecorder_records_it_on_the_rigs_times(router: BusConfig, tmp_p
         pytest.importorskip(module, reason=f"pip install {module}; there is no wheel for every machine")
     (tmp_path / "lsl.cfg").write_text(_LOOPBACK)
     environment = {**os.environ, "LSLAPICFG": str(tmp_path / "lsl.cfg"), "OPENBLAS_NUM_THREADS": "1"}
-    names = ["rhot_hand_left", "rhot_hand_right", "rhot_object_cube"]
+    names = ["rhot_event", "rhot_hand_left", "rhot_hand_right", "rhot_object_cube"]
     out = tmp_path / "take.xdf"
     sent: dict[int, int] = {}
     async with await Bus.open(router) as bus:
@@ -196,6 +196,7 @@ async def _play(bus: Bus, sent: dict[int, int]) -> None:
     bus.publisher("rhot/space/stage", Space).put(bridge_poses.stage_message(1))
     hands = {side: bus.publisher(f"rhot/hand/{side}", HandPose) for side in ("left", "right")}
     cube = bus.publisher("rhot/object/cube", ObjectPose)
+    events = bus.publisher("rhot/event", Event)
     control = bus.publisher("rhot/control", Control, reliable=True)
     assert await control.wait_for_reader(PATIENCE_S)
     now_ns = time.time_ns()
@@ -207,7 +208,8 @@ async def _play(bus: Bus, sent: dict[int, int]) -> None:
         for side, publisher in hands.items():
             publisher.put(pose[side].model_copy(update={"t_ns": true_ns}))
         cube.put(object_.model_copy(update={"t_ns": true_ns}))
-        sent[true_ns] = time.monotonic_ns() - (time.time_ns() - true_ns)
+        events.put(Event(t_ns=true_ns, label="tick", source="test"))
+        sent[true_ns] = true_ns + difference_ns(time.monotonic_ns, time.time_ns)
         await asyncio.sleep(1.0 / _RATE_HZ)
 
 
@@ -216,8 +218,12 @@ def _check(out: Path, sent: dict[int, int]) -> None:
 
     streams, _ = pyxdf.load_xdf(str(out), synchronize_clocks=False, dejitter_timestamps=False)
     found: dict[str, Any] = {stream["info"]["name"][0]: stream for stream in streams}
-    assert sorted(found) == ["rhot_hand_left", "rhot_hand_right", "rhot_object_cube"]
+    assert sorted(found) == ["rhot_event", "rhot_hand_left", "rhot_hand_right", "rhot_object_cube"]
     truth_s = np.array(sorted(sent.values())) / 1e9
+    events = found.pop("rhot_event")
+    assert events["info"]["type"][0] == "Markers"
+    assert {label for (label,) in events["time_series"]} == {"tick"}
+    assert np.abs(np.asarray(events["time_stamps"])[:, None] - truth_s).min(axis=1).max() < 1e-3
     for name, stream in found.items():
         info = stream["info"]
         assert info["type"][0] == "MoCap"

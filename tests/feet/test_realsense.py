@@ -165,8 +165,12 @@ class Keys:
 class Clock:
     def __init__(self) -> None:
         self.ns = 1_700_000_000_200_000_000
+        self.interrupted_ns = 0
+        """What passes before the next reading."""
 
     def now(self) -> int:
+        self.ns += self.interrupted_ns
+        self.interrupted_ns = 0
         return self.ns
 
 
@@ -177,6 +181,22 @@ def opened(sdk: Sdk, clock: Clock, **config: Any) -> RealSenseSource:
     )
     source.open(0)
     return source
+
+
+def test_an_interruption_while_clocks_are_read_moves_no_picture() -> None:
+    sdk, clock = Sdk(Info("123")), Clock()
+    rig_ns = clock.ns + 3_000_000_000
+
+    def interrupted() -> int:
+        clock.interrupted_ns = 12_000_000 if clock.ns + 3_000_000_000 == rig_ns else 0
+        return clock.ns + 3_000_000_000
+
+    source = RealSenseSource(DepthCameraConfig(), interrupted, load=lambda: sdk, wall_ns=clock.now)
+    source.open(0)
+    sdk.sets.append(FrameSet())
+    frame = source.read(0.1)
+    assert frame is not None
+    assert abs(frame.t_ns - (1_700_000_000_091_000_000 + 3_000_000_000)) < 1_000
 
 
 def test_a_frame_in_millimetres_at_the_middle_of_its_exposure() -> None:

@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhot.clock import ClockEstimator, Exchange, LocalRigClock, SkewedClock, SyncedRigClock, SystemClock
+from rhot.clock import (
+    ClockEstimator,
+    Exchange,
+    LocalRigClock,
+    SkewedClock,
+    SyncedRigClock,
+    SystemClock,
+    difference_ns,
+)
 from rhot.errors import BusError
 
 EPOCH_NS = 1_790_000_000_000_000_000
@@ -95,6 +103,20 @@ def test_the_owner_maps_its_own_clock() -> None:
     node = SystemClock()
     clock = LocalRigClock(node)
     assert abs(clock.to_rig_ns(node.now_ns()) - clock.now_ns()) < 5_000_000
+
+
+@pytest.mark.parametrize("interrupted", [(), (1,), (0, 1), (2, 4)])
+def test_an_interruption_between_two_readings_moves_no_time(interrupted: tuple[int, ...]) -> None:
+    """The process sleeps 3 ms before some of its readings; the clocks are 5 s apart, each reading takes 100 ns."""
+    now_ns, readings = 1_000_000_000, 0
+
+    def read(offset_ns: int) -> int:
+        nonlocal now_ns, readings
+        now_ns += 3_000_000 if readings in interrupted else 100
+        readings += 1
+        return now_ns + offset_ns
+
+    assert difference_ns(lambda: read(5_000_000_000), lambda: read(0)) == pytest.approx(5_000_000_000, abs=1000)
 
 
 def test_a_skewed_clock_is_off_as_asked() -> None:

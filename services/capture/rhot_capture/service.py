@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from rhot.anatomy.markers import own_paints, worn_paints
 from rhot.arrays import ImageArray
 from rhot.bus import Answer, Bus, Publisher, Request, json_answer
-from rhot.clock import NodeClock
+from rhot.clock import NodeClock, difference_ns
 from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.messages import Control, MarkerFrame
 from rhot.recording.camera_picture import CameraPicture, jpeg_of
@@ -316,7 +316,7 @@ class CaptureService:
     async def run(self, node: Node, start: Control) -> None:
         """Open the camera, start at the start time (or join late) and publish until cancelled."""
         source = self._next_source()
-        start_ns = node.node_clock.now_ns() + start.start_t_ns - node.clock.now_ns()
+        start_ns = start.start_t_ns + difference_ns(node.node_clock.now_ns, node.clock.now_ns)
         grabber = grab(source, self.instance)
 
         def open_as_set() -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rhot.anatomy.skeleton import FINGERS, JOINTS
 from rhot.bus import Bus, EventSubscriber
+from rhot.clock import difference_ns
 from rhot.errors import WireError
 from rhot.messages import HandPose, Message, ObjectPose, PointSet, Position, Quaternion, Side, decode
 
@@ -136,7 +137,7 @@ async def follow(
     """
     async for sample in mailbox:
         # Counted to the arrival, not to the moment at which this busy process found time to look.
-        arrived_t_ns = rig_now_ns() - (time.monotonic_ns() - sample.arrived_ns)
+        arrived_t_ns = sample.arrived_ns + difference_ns(rig_now_ns, time.monotonic_ns)
         try:
             message = decode(sample.payload, model)
         except WireError:

@@ -20,6 +20,7 @@ from rich.live import Live
 from rich.status import Status
 
 from rhot.bus import Bus, EventSubscriber
+from rhot.clock import difference_ns
 from rhot.errors import BusError
 from rhot.messages import Control, ServiceStatus
 from rhot.operation.control import broadcast
@@ -172,7 +173,7 @@ class WatchedRun(ABC):
 
     def _start_at(self, control: Control) -> None:
         self._start_t_ns = control.start_t_ns
-        self._start_mono_ns = time.monotonic_ns() + control.start_t_ns - time.time_ns()
+        self._start_mono_ns = control.start_t_ns + difference_ns(time.monotonic_ns, time.time_ns)
 
     def _elapsed_s(self) -> float:
         # On a clock that nobody sets: a machine may learn the time of day meanwhile.

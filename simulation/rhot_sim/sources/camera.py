@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from rhot.arrays import ImageArray
-from rhot.clock import NodeClock, SkewedClock
+from rhot.clock import NodeClock, SkewedClock, difference_ns
 from rhot.errors import ConfigError, DeviceError
 from rhot.rig import CameraConfig, Rig
 from rhot.rig.colors import ColorsFile
@@ -346,10 +346,10 @@ class SimulatedSource:
     def _node_ns(self, true_ns: int) -> int:
         if isinstance(self._clock, SkewedClock):
             return self._clock.from_true_ns(true_ns)
-        return true_ns + self._clock.now_ns() - self._pacer.now_ns()
+        return true_ns + difference_ns(self._clock.now_ns, self._pacer.now_ns)
 
     def _true_ns(self, node_ns: int) -> int:
-        true_ns = self._pacer.now_ns() + node_ns - self._clock.now_ns()
+        true_ns = node_ns + difference_ns(self._pacer.now_ns, self._clock.now_ns)
         if isinstance(self._clock, SkewedClock):
             # One correction leaves drift² of the error: nothing.
             true_ns += node_ns - self._clock.from_true_ns(true_ns)

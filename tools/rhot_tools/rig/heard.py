@@ -14,6 +14,7 @@ from rich.console import Console
 
 from rhot.arrays import ImageArray
 from rhot.bus import CONNECT_S, Bus
+from rhot.clock import difference_ns
 from rhot.errors import BusError, ConfigError
 from rhot.messages import Control, HandPose, MarkerFrame, Message, ObjectPose, PointSet, ServiceStatus, Truth
 from rhot.operation.control import newest_control
@@ -198,7 +199,7 @@ async def listen(bus_config: BusConfig, seconds: float, progress: Callable[[floa
         async def follow(keys: str, model: type[Message]) -> None:
             async for sample, message in bus.events(keys).messages(model):
                 # When it was here, and not when this reader came to it.
-                arrived_ns = now_ns() - (time.monotonic_ns() - sample.arrived_ns)
+                arrived_ns = sample.arrived_ns + difference_ns(now_ns, time.monotonic_ns)
                 progress(loop.time() - begun)
                 heard.note(sample.key, message, arrived_ns)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from rhot.bus import Bus, EventSubscriber
+from rhot.clock import difference_ns
 from rhot.errors import WireError
 from rhot.messages import HeadPose, decode
 from rhot.recording.camera_picture import PICTURES_KEY, CameraPicture
@@ -50,7 +51,7 @@ async def record(
         ConfigError: the file cannot be written any more.
     """
     # Spacing comes from the monotonic clock, so that a step of the system's clock leaves no gap in the recording.
-    epoch_ns = time.time_ns() - time.monotonic_ns()
+    epoch_ns = difference_ns(time.time_ns, time.monotonic_ns)
 
     async def write() -> None:
         async for sample in mailbox:

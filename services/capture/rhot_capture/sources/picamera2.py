@@ -16,11 +16,13 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
+from functools import partial
 from typing import Any, Final
 
 import cv2
 import numpy as np
 
+from rhot.clock import difference_ns
 from rhot.errors import ConfigError, DeviceError, RhotError
 from rhot.rig.config import CameraConfig
 from rhot_capture.settings import CameraSettings
@@ -93,7 +95,7 @@ class _Lease:
 def boottime_offset_ns() -> int:
     """Return monotonic minus boottime clock, nanoseconds; 0 unless the machine was suspended."""
     if sys.platform == "linux":
-        return time.monotonic_ns() - time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+        return difference_ns(time.monotonic_ns, partial(time.clock_gettime_ns, time.CLOCK_BOOTTIME))
     else:  # noqa: RET505  # for mypy, which reads what follows a platform's return as dead
         return 0
 

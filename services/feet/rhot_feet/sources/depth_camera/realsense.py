@@ -20,6 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rhot.clock import difference_ns
 from rhot.errors import DeviceError
 from rhot.geometry.camera import CameraModel
 from rhot.rig.feet_config import DepthCameraConfig
@@ -351,7 +352,7 @@ class RealSenseSource:
                 "kernel patch)",
                 self._serial,
             )
-        return round(1e6 * wall_ms) + self._now_ns() - self._wall_ns()
+        return round(1e6 * wall_ms) + difference_ns(self._now_ns, self._wall_ns)
 
 
 def _millimetres(depth: Any) -> DepthImage:
