@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -34,6 +35,23 @@ def load_plugin(group: str, name: str, purpose: str, extra: str) -> Any:
         return found[0].load()
     except ModuleNotFoundError as error:
         raise ConfigError(f"{purpose} needs the Python module {error.name}, which is not installed; {hint}") from error
+
+
+def load_library(module: str, purpose: str, extra: str) -> Any:
+    """Import and return a library that only some need, or a module of ours that needs one.
+
+    Args:
+        module: its name.
+        purpose: what needs it, to begin the message with: `--c3d`.
+        extra: what to install when it is missing.
+
+    Raises:
+        ConfigError: it is not installed here.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"{purpose} needs the Python module {error.name}; {install_hint(extra)}") from error
 
 
 def load_simulated(name: str) -> Any:

@@ -10,14 +10,19 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from bus_watch import PATIENCE_S, wait_for_status
 from running.rig_processes import processes_that_name
 from wall_clock import in_time
 
 from rhot.bus import Bus
-from rhot.rig import BusConfig
+from rhot.messages import Marker, MarkerFrame, PointSet
+from rhot.rig import BusConfig, load_rig
 from rhot.rig.template import rig_template
 from rhot_sim.running.processes import free_endpoint
+from rhot_tools.operate.up import cameras_here
 
 pytestmark = pytest.mark.integration
 
@@ -144,4 +149,71 @@ def test_bridges_of_the_rig_run_and_end_with_it(tmp_path: Path, free_port: int) 
         rest = process.stdout.read()
         process.wait(timeout=10)
     assert "Traceback" not in rest
+    assert list(processes_that_name(str(rig))) == []
+
+
+def test_cameras_of_this_machine_are_started_where_no_other_reaches_the_router(tmp_path: Path) -> None:
+    rig = load_rig(make_rig(tmp_path / "rig", ("left", "right")))
+    cameras = {name: camera.model_copy(update={"source": "v4l2"}) for name, camera in rig.config.cameras.items()}
+    usb = rig.config.model_copy(update={"cameras": cameras})
+    assert cameras_here(usb, rig.config.bus) == ["left", "right"]
+    for open_to_others in ({"listen": ("tcp/0.0.0.0:7447",)}, {"connect": ("tcp/192.168.1.10:7447",)}):
+        assert cameras_here(usb, rig.config.bus.model_copy(update=open_to_others)) == []
+    assert cameras_here(rig.config, rig.config.bus) == [], "this machine is no Pi"
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_recorded_cameras_run_with_it_and_end_with_it(tmp_path: Path, ended: bool) -> None:
+    rig = make_rig(tmp_path / "rig", ("left", "right"))
+    writer = cv2.VideoWriter(str(rig / "view.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (640, 480))
+    for _ in range(30):
+        writer.write(np.full((480, 640, 3), 90, np.uint8))
+    writer.release()
+    file = rig / "rig.toml"
+    recorded = f'source = "video"\npath = "view.avi"\nloop = {str(not ended).lower()}'
+    file.write_text(file.read_text().replace('source = "picamera2"', recorded))
+    command = [sys.executable, "-m", "rhot", "up", "--no-viewer", "--rig", str(rig)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "the input has ended" in line or (not ended and "session" in line and line.endswith("runs\n")):
+                break
+        there = " ".join(processes_that_name(str(rig)))
+        process.send_signal(signal.SIGINT)
+        rest = process.stdout.read()
+        process.wait(timeout=10)
+    assert process.returncode == 130
+    assert "Traceback" not in rest
+    assert "--camera=left" in there and "--camera=right" in there
+    assert list(processes_that_name(str(rig))) == []
+
+
+async def test_fusion_and_ik_share_a_process_where_that_is_asked_for(tmp_path: Path) -> None:
+    rig = make_rig(tmp_path / "rig", ("left", "right"))
+    command = [sys.executable, "-m", "rhot", "up", "--one-process", "--no-viewer", "--rig", str(rig)]
+    up = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.PIPE)
+    try:
+        async with await Bus.open(BusConfig(connect=load_rig(rig).config.bus.connect), timeout_s=PATIENCE_S) as bus:
+            for service in ("fusion/main", "ik/main"):
+                await wait_for_status(bus, service, lambda status: status.state == "running")
+            assert not [words for words in processes_that_name(str(rig)) if "rhot ik" in words]
+            seen = bus.latest("rhot/points")
+            frames = {name: bus.publisher(f"rhot/markers/{name}", MarkerFrame) for name in ("left", "right")}
+            async with asyncio.timeout(PATIENCE_S):
+                while "input" not in (await wait_for_status(bus, "ik/main", lambda _: True)).rates:
+                    for camera, u in (("left", 330.0), ("right", 290.0)):
+                        marker = Marker(u=u, v=240.0, area=60.0, score=0.9)
+                        markers = {"thumb": marker}
+                        frames[camera].put(
+                            MarkerFrame(t_ns=time.time_ns(), camera=camera, width=640, height=480, markers=markers)
+                        )
+                # Who is elsewhere on the bus hears of the points, too.
+                await anext(seen.messages(PointSet))
+        up.send_signal(signal.SIGINT)
+        _, said = await up.communicate()
+    finally:
+        if up.returncode is None:
+            up.kill()
+    assert up.returncode == 130
+    assert b"Traceback" not in said
     assert list(processes_that_name(str(rig))) == []

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
 import msgpack
 import pytest
+from hand_messages import hand_pose, marker_frame, point_set
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from rhot.errors import WireError
 from rhot.messages import (
@@ -135,3 +138,13 @@ def test_quaternions_must_have_unit_norm() -> None:
         Joint(position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 2.0), radius=0.01)
     pose = ObjectPose(t_ns=1, frame="rig", position=(0.0, 0.0, 1.0), orientation=(0.0, 0.6, 0.0, 0.8), state="measured")
     assert decode(encode(pose), ObjectPose) == pose
+
+
+def test_what_json_lines_hold_is_valid_as_it_is_read() -> None:
+    """JSON and msgpack know lists only; the numbers in them stay strict."""
+    for message in (hand_pose(0.1, 10), marker_frame("left", 10), point_set(10)):
+        value = json.loads(message.model_dump_json(exclude_none=True))
+        assert type(message).model_validate(value) == message
+    value["points"]["index"]["position"][0] = "0.1"
+    with pytest.raises(ValidationError, match="valid number"):
+        PointSet.model_validate(value)

@@ -38,8 +38,12 @@ class Publisher(Generic[M]):
         # The status object itself is always truthy; its field is what counts.
         return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
 
-    def put(self, message: M) -> M:
+    def put(self, message: M, *, answers: bool = True) -> M:
         """Publish a message and return it as sent, with its sequence number.
+
+        Args:
+            message: to publish.
+            answers: whether it answers queries from now on.
 
         Raises:
             BusError: the session is closed.
@@ -47,7 +51,7 @@ class Publisher(Generic[M]):
         numbered = with_seq(message, self._seq)
         self._seq += 1
         # Kept before it is sent: who saw the sample and asks at once gets at least this one.
-        self._last = numbered
+        self._last = numbered if answers else None
         try:
             self._publisher.put(encode(numbered), encoding=self._encoding)
         # RuntimeError: another thread is taking the publisher back.

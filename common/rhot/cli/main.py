@@ -44,6 +44,9 @@ _COMMANDS: Final = {
         "evaluate": LazyCommand("Measure how well a part of the rig works.", "rhot.cli.main:evaluate"),
         "get": LazyCommand("Print the last value of keys as JSON.", "rhot_tools.operate.inspect:get"),
         "watch": LazyCommand("Print messages as JSON as they arrive.", "rhot_tools.operate.inspect:watch"),
+        "report": LazyCommand(
+            "Say on one page whether trials can be used, and why.", "rhot_tools.trial.report:report", "pc"
+        ),
         "explain": LazyCommand(
             "Explain on one page why a moment of a recording was tracked as it was.",
             "rhot_tools.explain.command:explain",
@@ -56,6 +59,7 @@ _COMMANDS: Final = {
             "rhot_tools.recordings.record:record",
             "record",
         ),
+        "mark": LazyCommand("Mark this moment, such as the start of a trial.", "rhot_tools.recordings.mark:mark"),
         "replay": LazyCommand(
             "Put a recording back on the bus, as if live.", "rhot_tools.recordings.replay:replay", "record"
         ),

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator
 
 from rhot.text import printable
 
@@ -85,9 +85,11 @@ Sentence = Annotated[str, Field(max_length=4096), AfterValidator(partial(_shown,
 Label = Annotated[str, Field(max_length=64), AfterValidator(partial(_shown, 64))]
 """Text for people, without control characters that could act on a terminal."""
 
-PixelPoint = tuple[Pixel, Pixel]
-Position = tuple[Metres, Metres, Metres]
-Quaternion = tuple[float, float, float, float]
+Listed = Strict(False)
+"""For tuples, which JSON and msgpack give as lists; what is in them stays strict."""
+PixelPoint = Annotated[tuple[Pixel, Pixel], Listed]
+Position = Annotated[tuple[Metres, Metres, Metres], Listed]
+Quaternion = Annotated[tuple[float, float, float, float], Listed]
 
 
 class WireModel(BaseModel):

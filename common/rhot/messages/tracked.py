@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 from rhot.messages.base import (
     Count,
     Label,
+    Listed,
     Message,
     Name,
     Pixel,
@@ -30,7 +31,9 @@ from rhot.types import PointState, Side, State
 # Markers in images, and as points in space.
 
 SquareMetres = Annotated[float, Field(ge=-1e6, le=1e6)]
-Covariance = tuple[SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres]
+Covariance = Annotated[
+    tuple[SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres, SquareMetres], Listed
+]
 
 
 class Marker(WireModel):
@@ -53,9 +56,9 @@ class Marker(WireModel):
     area: Annotated[float, Field(ge=0.0, le=1e9)]
     score: Unit
     t_ns: TimeNs | None = None
-    corners: tuple[PixelPoint, PixelPoint, PixelPoint, PixelPoint] | None = None
-    outline: Annotated[tuple[PixelPoint, ...], Field(max_length=512)] | None = None
-    skin_side: tuple[SignedUnit, SignedUnit] | None = None
+    corners: Annotated[tuple[PixelPoint, PixelPoint, PixelPoint, PixelPoint], Listed] | None = None
+    outline: Annotated[tuple[PixelPoint, ...], Field(max_length=512), Listed] | None = None
+    skin_side: Annotated[tuple[SignedUnit, SignedUnit], Listed] | None = None
 
 
 class MarkerFrame(Message):
@@ -96,7 +99,7 @@ class Point(WireModel):
     views: Annotated[int, Field(ge=0, le=255)]
     state: PointState
     covariance: Covariance | None = None
-    corners: tuple[Position, Position, Position, Position] | None = None
+    corners: Annotated[tuple[Position, Position, Position, Position], Listed] | None = None
 
 
 class PointSet(Message):
@@ -137,7 +140,7 @@ class FootPose(Message):
     frame: Name
     position: Position
     orientation: Quaternion
-    velocity: tuple[float, float, float]
+    velocity: Annotated[tuple[float, float, float], Listed]
     sigma: Annotated[float, Field(ge=0.0, le=1e3)]
     stage: Literal["marker", "depth", "inertial", "lost"]
     stationary: bool = False
@@ -198,7 +201,7 @@ class BodyPose(Message):
     angles: Annotated[dict[Side, LegAngles], Field(max_length=2)]
     legs: Annotated[dict[Side, State], Field(max_length=2)]
     arms: Annotated[dict[Side, State], Field(max_length=2)] = {}
-    inferred: Annotated[tuple[Name, ...], Field(max_length=32)] = ()
+    inferred: Annotated[tuple[Name, ...], Field(max_length=32), Listed] = ()
     state: State
 
 
@@ -241,6 +244,9 @@ class HandPose(Message):
             and DIP the interphalangeal joint.
         residual: distance between each finger's measured and modelled marker, metres; absent when not measured.
         fingers: state of each finger.
+        sigma: standard deviation of each joint's position, metres (root of the sum of the three variances); a joint
+            whose uncertainty is not known is absent.
+        angle_sigma: standard deviation of the angles per finger, radians; absent if not known.
         state: `measured` when the palm and at least one finger are measured.
     """
 
@@ -250,13 +256,15 @@ class HandPose(Message):
     angles: Annotated[dict[Name, FingerAngles], Field(max_length=8)]
     residual: Annotated[dict[Name, Annotated[float, Field(ge=0.0, le=1e3)]], Field(max_length=8)]
     fingers: Annotated[dict[Name, State], Field(max_length=8)] = {}
+    sigma: Annotated[dict[Name, Annotated[float, Field(ge=0.0, le=1e3)]], Field(max_length=64)] = {}
+    angle_sigma: Annotated[dict[Name, FingerAngles], Field(max_length=8)] = {}
     state: State
 
 
 # Further frames with a known pose in the rig frame: the floor, a tracking system's space.
 
-Row = tuple[float, float, float, float]
-Matrix4 = tuple[Row, Row, Row, Row]
+Row = Annotated[tuple[float, float, float, float], Listed]
+Matrix4 = Annotated[tuple[Row, Row, Row, Row], Listed]
 
 
 class Space(Message):
@@ -331,7 +339,7 @@ class BoxShape(WireModel):
     """
 
     kind: Literal["box"] = "box"
-    size: tuple[Size, Size, Size]
+    size: Annotated[tuple[Size, Size, Size], Listed]
 
 
 class CylinderShape(WireModel):
@@ -365,16 +373,16 @@ MOST_PLANES: Final = 64
 _NORM_TOLERANCE: Final = 1e-3
 _FAR_M: Final = 20.0
 
-Plane = tuple[float, float, float, float]
+Plane = Annotated[tuple[float, float, float, float], Listed]
 """Outward unit normal, and the plane's distance from the middle along it, metres."""
 
 
 class MeshShape(WireModel):
-    """A mesh from a file of the rig folder; fingers touch the planes of its convex hull.
+    """A mesh from a file of the rig folder; who has no such file meets its convex hull.
 
     Attributes:
         kind: type of the shape.
-        file: name of the file with its surface, glTF; a reader without this file draws the planes.
+        file: name of the file with its surface, glTF.
         size: edges of its bounding box along the object's x, y, z, metres; the object's frame has the file's axes (y
             up) and its origin in the middle of that box.
         planes: of its convex hull: outward unit normal x, y, z and distance from the middle, metres.
@@ -382,8 +390,8 @@ class MeshShape(WireModel):
 
     kind: Literal["mesh"] = "mesh"
     file: Label
-    size: tuple[Size, Size, Size]
-    planes: Annotated[tuple[Plane, ...], Field(min_length=4, max_length=MOST_PLANES)]
+    size: Annotated[tuple[Size, Size, Size], Listed]
+    planes: Annotated[tuple[Plane, ...], Field(min_length=4, max_length=MOST_PLANES), Listed]
 
     @field_validator("planes")
     @classmethod
@@ -424,3 +432,20 @@ class ObjectPose(Message):
 
 class HeadPose(ObjectPose):
     """Pose of the headset."""
+
+
+# Marked moments.
+
+
+class Event(Message):
+    """A moment that somebody marked, such as the start of a trial or a trigger.
+
+    Attributes:
+        label: what happened, one of the experimenter's own words.
+        source: who marked it: `mark`, `page`, `lsl`, `gpio`, or the name of a program.
+        uncertainty_s: how far `t_ns` may be off, seconds; absent if not known.
+    """
+
+    label: Label
+    source: Label
+    uncertainty_s: Annotated[float, Field(ge=0.0, le=1e6)] | None = None

@@ -8,9 +8,9 @@ import time
 from typing import Literal
 
 from rhot.bus import Bus
-from rhot.clock import Exchange, SystemClock
+from rhot.clock import Exchange, SystemClock, difference_ns
 from rhot.errors import BusError, WireError
-from rhot.messages import Control, decode
+from rhot.messages import Control, Event, decode
 from rhot.service.clock_sync import exchange_once
 from rhot.service.control import CONTROL_KEY
 
@@ -72,12 +72,9 @@ async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, de
     )
     publisher = bus.publisher(CONTROL_KEY, Control, reliable=True)
     await publisher.wait_for_reader(2.0)
-    # Reliable: it waits where the network is full, so not on the event loop.
-    sent = await asyncio.to_thread(publisher.put, control)
-    if action == "stop":
-        # Who took it answers for it. One that was refused, of another session, must not be learnt from its sender.
-        publisher.forget()
-    return sent
+    # Reliable: it waits where the network is full, so not on the event loop. Who takes a stop answers for it. One that
+    # was refused, of another session, must not be learnt from its sender.
+    return await asyncio.to_thread(publisher.put, control, answers=action == "start")
 
 
 async def followers(bus: Bus, sent: Control, wait_s: float) -> int:
@@ -108,3 +105,29 @@ async def newest_control(bus: Bus) -> Control | None:
 def new_session() -> str:
     """Return a name for a session that begins now."""
     return time.strftime("%Y%m%d-%H%M%S")
+
+
+# Marked moments.
+
+
+async def mark(bus: Bus, label: str, source: str, *, at_ns: int | None = None, late_s: float = 0.0) -> Event:
+    """Publish that something happened, on `rhot/event`, and return the message.
+
+    Args:
+        bus: of the rig.
+        label: what happened.
+        source: who says so.
+        at_ns: when, by this machine's system clock (`time.time_ns`); now by default.
+        late_s: by how much that may be too late.
+
+    Raises:
+        BusError: no service answers for rig time.
+        ValidationError: the label is too long.
+    """
+    now_ns = SystemClock().now_ns
+    at_ns = now_ns() if at_ns is None else at_ns + difference_ns(now_ns, time.time_ns)
+    exchange = await quickest_exchange(bus, 2.0)
+    uncertainty_s = 0.5e-9 * exchange.round_trip_ns + late_s
+    event = Event(t_ns=at_ns + exchange.offset_ns, label=label, source=source, uncertainty_s=round(uncertainty_s, 6))
+    bus.publisher("rhot/event", Event).put(event)
+    return event

@@ -7,6 +7,7 @@ services share goes on beside it: status once a second, rig clock, control, conf
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import logging
 from collections.abc import Callable, Sequence
@@ -75,8 +76,10 @@ class Service(Protocol):
         ...
 
 
-def run_service(service: Service, bus_config: BusConfig, *, node_clock: NodeClock | None = None) -> int:
-    """Run a service until a signal ends it, and return the process's exit code.
+def run_service(
+    service: Service | Sequence[Service], bus_config: BusConfig, *, node_clock: NodeClock | None = None
+) -> int:
+    """Run a service, or several in one process, until a signal ends it, and return the process's exit code.
 
     Raises:
         RhotError: the service cannot work as it is configured, or its device hangs.
@@ -113,9 +116,15 @@ async def serve(
 
 
 async def _run_all(runners: Sequence[_Runner]) -> None:
-    async with asyncio.TaskGroup() as tasks:
-        for runner in runners:
-            tasks.create_task(runner.run())
+    """Run services; those that reach the bus in one way share a session: between them messages take no router."""
+    async with contextlib.AsyncExitStack() as open_buses:
+        buses: dict[BusConfig, Bus] = {}
+        async with asyncio.TaskGroup() as tasks:
+            for runner in runners:
+                config = runner.bus_config
+                if config not in buses:
+                    buses[config] = await open_buses.enter_async_context(await Bus.open(config))
+                tasks.create_task(runner.run(buses[config]))
 
 
 def _first_cause(first: BaseException | None) -> BaseException | None:
@@ -139,7 +148,7 @@ def _as_service(config: BusConfig, service: Service) -> BusConfig:
 class _Runner:
     def __init__(self, service: Service, bus_config: BusConfig, node_clock: NodeClock) -> None:
         self._service = service
-        self._bus_config = bus_config
+        self.bus_config = _as_service(bus_config, service)
         self._node_clock = node_clock
         self._control_link = ControlLink()
         self._control = self._control_link.state
@@ -147,43 +156,42 @@ class _Runner:
         self._clock_ready = asyncio.Event()
         self._clock_watch = ClockWatch()
 
-    async def run(self) -> None:
+    async def run(self, bus: Bus) -> None:
         service = self._service
-        async with await Bus.open(_as_service(self._bus_config, service)) as bus:
-            clock = LocalRigClock(self._node_clock) if service.owns_clock else SyncedRigClock(self._node_clock)
-            node = Node(service.name, service.instance, bus, self._node_clock, clock, self._status)
-            self._status.include(bus.limit_counts)
-            self._status.watch(lambda: ({}, self._clock_watch.problem))
-            service.attach(node)
-            own_clock = serve_clock(bus) if service.owns_clock else ""
-            if own_clock:
-                self._clock_ready.set()
-            bus.queryable(CONTROL_KEY, self._control_link.answer)
-            loop = asyncio.get_running_loop()
-            bus.queryable(self._key("config"), lambda request: self._answer_config(loop, request), slow=True)
-            bus.alive(self._key("alive"))
-            self._status.state = "waiting"
-            logger.info("%s %s is connected and waits for start", service.name, service.instance)
-            notify("READY=1")
-            # What exists by now lives as long as the process: the collector need not look through it again and again,
-            # which costs some ten milliseconds each time.
-            gc.collect()
-            gc.freeze()
-            try:
-                async with asyncio.TaskGroup() as tasks:
-                    if isinstance(clock, SyncedRigClock):
-                        tasks.create_task(keep_synced(bus, clock, self._clock_ready, self._clock_watch))
-                    else:
-                        tasks.create_task(watch_for_rivals(bus, self._node_clock, own_clock, self._clock_watch))
-                    tasks.create_task(self._publish_status(node))
-                    self._control_link.follow(node, self._clock_ready, tasks)
-                    tasks.create_task(self._follow_config(node))
-                    tasks.create_task(self._check_loop())
-                    node.start_beside(tasks)
-                    tasks.create_task(self._run_sessions(node))
-            finally:
-                self._status.state = "stopping"
-                notify("STOPPING=1")
+        clock = LocalRigClock(self._node_clock) if service.owns_clock else SyncedRigClock(self._node_clock)
+        node = Node(service.name, service.instance, bus, self._node_clock, clock, self._status)
+        self._status.include(bus.limit_counts)
+        self._status.watch(lambda: ({}, self._clock_watch.problem))
+        service.attach(node)
+        own_clock = serve_clock(bus) if service.owns_clock else ""
+        if own_clock:
+            self._clock_ready.set()
+        bus.queryable(CONTROL_KEY, self._control_link.answer)
+        loop = asyncio.get_running_loop()
+        bus.queryable(self._key("config"), lambda request: self._answer_config(loop, request), slow=True)
+        bus.alive(self._key("alive"))
+        self._status.state = "waiting"
+        logger.info("%s %s is connected and waits for start", service.name, service.instance)
+        notify("READY=1")
+        # What exists by now lives as long as the process: the collector need not look through it again and again,
+        # which costs some ten milliseconds each time.
+        gc.collect()
+        gc.freeze()
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                if isinstance(clock, SyncedRigClock):
+                    tasks.create_task(keep_synced(bus, clock, self._clock_ready, self._clock_watch))
+                else:
+                    tasks.create_task(watch_for_rivals(bus, self._node_clock, own_clock, self._clock_watch))
+                tasks.create_task(self._publish_status(node))
+                self._control_link.follow(node, self._clock_ready, tasks)
+                tasks.create_task(self._follow_config(node))
+                tasks.create_task(self._check_loop())
+                node.start_beside(tasks)
+                tasks.create_task(self._run_sessions(node))
+        finally:
+            self._status.state = "stopping"
+            notify("STOPPING=1")
 
     def _key(self, kind: str) -> str:
         return f"rhot/{kind}/{self._service.name}/{self._service.instance}"

@@ -10,6 +10,7 @@ from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
 from rhot.clock import RigClock
 from rhot.errors import ConfigError
+from rhot.messages import Event
 from rhot.rig import BridgeConfig
 from rhot_bridge.links import Link
 from rhot_bridge.scene import Axes, Scene, Tracked
@@ -141,6 +142,10 @@ class SampleOutput(Output, Protocol):
 
     def send_sample(self, key: str, tracked: Tracked) -> bool:
         """Send a sample in the output's axes; return whether it was sent."""
+        ...
+
+    def send_event(self, event: Event) -> bool:
+        """Send a marked moment; return whether it was sent, which not every program has a place for."""
         ...
 
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from rhot.clock import SystemClock
 from rhot.errors import ConfigError
-from rhot.messages import Control
+from rhot.messages import Control, Event
 from rhot.rig import BridgeConfig, BusConfig
 from rhot.service import Node
 from rhot.service.runner import serve
@@ -111,15 +111,28 @@ class BridgeService:
         logger.info("bridge %s: %s", self.instance, self._output.where)
         self._running = True
         try:
-            while True:
-                # Fading needs the full rate; otherwise the repetition interval is enough.
-                await asyncio.sleep(1.0 / self._config.rate_hz if self._newest.fading else _REPEAT_NS / 2e9)
-                now_ns = time.monotonic_ns()
-                if self._newest.fading or now_ns - self._pace.sent_ns >= _REPEAT_NS:
-                    self._send(now_ns, None)
+            async with asyncio.TaskGroup() as tasks:
+                if self._recorder is not None:
+                    tasks.create_task(self._pass_on_events(self._recorder, node))
+                await self._repeat()
         finally:
             self._running = False
             await self._output.close()
+
+    async def _repeat(self) -> None:
+        """Send again what does not change, and what fades."""
+        while True:
+            # Fading needs the full rate; otherwise the repetition interval is enough.
+            await asyncio.sleep(1.0 / self._config.rate_hz if self._newest.fading else _REPEAT_NS / 2e9)
+            now_ns = time.monotonic_ns()
+            if self._newest.fading or now_ns - self._pace.sent_ns >= _REPEAT_NS:
+                self._send(now_ns, None)
+
+    @staticmethod
+    async def _pass_on_events(output: SampleOutput, node: Node) -> None:
+        async for event in node.receive(node.bus.events("rhot/event"), Event):
+            if output.send_event(event):
+                node.status.tick("events")
 
     def add_sample(self, key: str, tracked: Tracked, arrived_ns: int) -> None:
         """Store a sample of the feed."""

@@ -26,7 +26,7 @@ from rhot.messages import ClockReply, Control, encode
 from rhot.operation.control import broadcast, followers
 from rhot.rig import BusConfig
 from rhot.service import ControlState, control
-from rhot.service.clock_sync import exchange_with_all
+from rhot.service.clock_sync import exchange_with_all, serve_clock
 from rhot.service.runner import serve
 from rhot_tools.operate.run import _control
 
@@ -180,6 +180,25 @@ async def test_a_stop_for_another_session_stops_nothing(router: BusConfig, monke
         # Who has sent it is there still, and is asked by the service again and again.
         assert await followers(other, sent, 1.0) == 0
         await wait_for_status(bus, "fusion/main", lambda status: status.session == "one")
+
+
+async def test_the_sender_of_a_stop_never_answers_for_it(router: BusConfig) -> None:
+    """Not even between the moment at which it is sent and the one at which the sender goes on."""
+    async with await Bus.open(router) as bus, await Bus.open(router) as other:
+        serve_clock(other)
+        other.latest("rhot/control")
+        asked: list[int] = []
+
+        async def ask() -> None:
+            while True:
+                asked.append(len(await other.get("rhot/control", timeout_s=1.0)))
+
+        asking = asyncio.create_task(ask())
+        for _ in range(50):
+            await broadcast(bus, "stop", "two", 0.0, LIMIT_S)
+        asking.cancel()
+    assert len(asked) > 5
+    assert not any(asked)
 
 
 def in_force(control: ControlState) -> tuple[str, int] | None:

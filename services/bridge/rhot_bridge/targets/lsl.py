@@ -1,5 +1,8 @@
 """LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
 
+Marked moments (`rhot/event`) are a stream of type `Markers`, `rhot_event`, there from the beginning, so that a recorder
+finds it before the first.
+
 Every published sample is sent once, with its own time: the rig time, mapped to LSL's `local_clock()`
 (`rhot_bridge.clock_map`), never the time of sending. So a recording is synchronous with EEG, gaze or force plates,
 whatever the tracker's latency is.
@@ -22,6 +25,7 @@ from numpy.typing import NDArray
 from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS
 from rhot.clock import RigClock
 from rhot.errors import ConfigError
+from rhot.messages import Event
 from rhot.rig import BridgeConfig
 from rhot_bridge.clock_map import ClockMap
 from rhot_bridge.output import Opened
@@ -93,6 +97,8 @@ except RuntimeError as error:
 
 logger = logging.getLogger(__name__)
 
+EVENTS: Final = "rhot_event"
+"""The stream of marked moments."""
 MOST_STREAMS: Final = 64
 """Largest number of streams; a rig has about ten."""
 _RETRY_S: Final = 5.0
@@ -121,6 +127,7 @@ class LslOutput:
         self._map = ClockMap()
         self._outlets: Opened[_Stream] = Opened(MOST_STREAMS)
         self._opening: dict[str, asyncio.Task[None]] = {}
+        self._events: Any = None
 
     @property
     def where(self) -> str:
@@ -136,7 +143,11 @@ class LslOutput:
         self._predicted = config.predicted == "send"
 
     async def open(self) -> None:
-        """Do nothing: streams are opened with their first samples."""
+        """Open the stream of events; the others are opened with their first samples."""
+        try:
+            self._events = await asyncio.to_thread(_event_outlet)
+        except Exception as error:  # whatever liblsl raises: one stream does not end the bridge
+            logger.warning("LSL stream event cannot be opened: %s", str(error) or type(error).__name__)
 
     def wanted(self, now_ns: int) -> bool:
         """Return False: samples are sent one by one, not as scenes."""
@@ -160,6 +171,13 @@ class LslOutput:
             return False
         stream.sent_ns = tracked.t_ns
         stream.outlet.push_sample(sample_of(tracked).tolist(), self._map.to_local_ns(tracked.t_ns) / 1e9)
+        return True
+
+    def send_event(self, event: Event) -> bool:
+        """Send a marked moment, at its own time."""
+        if self._events is None or not self._map.follow(self._clock, _local_ns):
+            return False
+        self._events.push_sample([event.label], self._map.to_local_ns(event.t_ns) / 1e9)
         return True
 
     def _offer(self, name: str, joints: tuple[str, ...]) -> None:
@@ -186,7 +204,8 @@ class LslOutput:
         for task in opening:
             task.cancel()
         await asyncio.gather(*opening, return_exceptions=True)
-        outlets = self._outlets.clear()
+        outlets = [*self._outlets.clear(), self._events]
+        self._events = None
         self._opening.clear()
         # Dropping the last reference closes a stream, which takes a moment.
         await asyncio.to_thread(outlets.clear)
@@ -204,6 +223,11 @@ def _local_ns() -> int:
 def make_output(config: BridgeConfig) -> LslOutput:
     """Return the output that a configuration asks for."""
     return LslOutput(config)
+
+
+def _event_outlet() -> Any:
+    source = f"rhot_{socket.gethostname()}_event"
+    return pylsl.StreamOutlet(pylsl.StreamInfo(EVENTS, "Markers", 1, pylsl.IRREGULAR_RATE, pylsl.cf_string, source))
 
 
 def _outlet(name: str, joints: Sequence[str], axes: Axes) -> Any:

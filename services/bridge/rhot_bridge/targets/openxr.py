@@ -25,6 +25,7 @@ from rhot.arrays import FloatArray
 from rhot.clock import RigClock
 from rhot.errors import DeviceError
 from rhot.geometry.rotations import inverse, rigid, rotation_from_quaternion, rotation_vectors, rotation_y
+from rhot.messages import Event
 from rhot.rig import BridgeConfig
 from rhot_bridge.axes import Converter
 from rhot_bridge.clock_map import ClockMap
@@ -217,6 +218,10 @@ class OpenXrOutput:
     def send(self, scene: Scene, now_ns: int) -> tuple[int, int]:
         """Send nothing."""
         return 0, 0
+
+    def send_event(self, event: Event) -> bool:
+        """Send nothing: OpenXR programs know no marked moments."""
+        return False
 
     def send_sample(self, key: str, tracked: Tracked) -> bool:
         """Write a hand in the stage frame; return whether it was written."""
