@@ -8,8 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from rhot.arrays import FloatArray
-from worlds.hand import FINGERS, MARKERS, Hand
+from worlds.hand import FINGERS, MARKERS, Hand, cone_distance
 from worlds.motion import States
+from worlds.skin import surface_nets
 
 _SAMPLES: Final = 5
 
@@ -19,17 +20,36 @@ class Solid:
     """An object on the desk, its centre the origin, z up.
 
     Attributes:
-        kind: `cylinder`, `box` or `ball`.
-        half: half extents (x, y, z), mm; of a cylinder and a ball x is the radius.
+        kind: `cylinder`, `box`, `ball`, `ring` (upright, its hole along y) or `handle` (a bar along x on two posts).
+        half: half extents (x, y, z), mm; of a cylinder and a ball x is the radius, of a ring and a handle y is that of
+            the bar.
     """
 
     kind: str
     half: FloatArray
 
+    @property
+    def barred(self) -> bool:
+        """Whether fingers close round a bar of it rather than round the whole."""
+        return self.kind in {"ring", "handle"}
+
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the signed distance of (..., 3) points in the object's frame."""
         if self.kind == "ball":
             return np.asarray(np.linalg.norm(points, axis=-1) - self.half[0])
+        if self.kind == "ring":
+            bar = self.half[1]
+            round_mm = np.linalg.norm(points[..., [0, 2]], axis=-1) - (self.half[0] - bar)
+            return np.asarray(np.hypot(round_mm, points[..., 1]) - bar)
+        if self.kind == "handle":
+            x, bar = self.half[0] - self.half[1], self.half[1]
+            top, foot = self.half[2] - bar, bar - self.half[2]
+            ends = [((-x, 0, top), (x, 0, top)), ((-x, 0, foot), (-x, 0, top)), ((x, 0, foot), (x, 0, top))]
+            return np.asarray(
+                np.min(
+                    [cone_distance(points, np.array(a, float), np.array(b, float), bar, bar) for a, b in ends], axis=0
+                )
+            )
         if self.kind == "cylinder":
             over = np.stack(
                 [np.linalg.norm(points[..., :2], axis=-1) - self.half[0], np.abs(points[..., 2]) - self.half[2]], -1
@@ -37,6 +57,11 @@ class Solid:
         else:
             over = np.abs(points) - self.half
         return np.asarray(np.linalg.norm(np.maximum(over, 0.0), axis=-1) + np.minimum(over.max(axis=-1), 0.0))
+
+    def surface(self) -> tuple[FloatArray, np.ndarray]:
+        """Return its surface: corners (V, 3), mm, and quads (F, 4)."""
+        axes = [np.arange(-reach - 4.0, reach + 4.0, 1.0) for reach in self.half]
+        return surface_nets(self.distance(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)), axes)
 
     def to_json(self) -> dict[str, Any]:
         """Return the object in the form of `hand.json`."""
@@ -46,6 +71,9 @@ class Solid:
         if self.kind == "cylinder":
             size = {"radius_mm": round(float(self.half[0]), 3), "height_mm": round(float(2 * self.half[2]), 3)}
             return {"type": "upright cylinder", **size, "edge_radius_mm": EDGE_MM, **about}
+        if self.barred:
+            size = {"size_mm": np.round(2 * self.half, 3).tolist(), "bar_radius_mm": round(float(self.half[1]), 3)}
+            return {"type": self.kind, **size, **about}
         return {
             "type": "upright box",
             "size_mm": np.round(2 * self.half, 3).tolist(),

@@ -57,22 +57,33 @@ class Grasp:
         return replace(moved, T_world_object=held @ np.linalg.inv(at_start) @ self.T_world_start)
 
 
-def random_solid(rng: np.random.Generator, hand: Hand) -> Solid:
-    """Draw a cylinder, a box or a ball that the hand can hold from above."""
+KINDS: Final = ("cylinder", "box", "ball", "plate", "ring", "handle")
+"""What is grasped: each worlds of its own."""
+
+
+def random_solid(rng: np.random.Generator, hand: Hand, kind: str) -> Solid:
+    """Draw an object of `KINDS` that the hand can hold from above; a plate is a thin box."""
     size = hand.length_mm / 172.0
-    kind = str(rng.choice(["cylinder", "box", "ball"]))
     if kind == "ball":
         return Solid(kind, np.full(3, size * rng.uniform(27.0, 34.0)))
+    if kind == "ring":
+        bar = size * rng.uniform(6.0, 11.0)
+        outer = size * rng.uniform(50.0, 65.0)
+        return Solid(kind, np.array([outer, bar, outer]))
+    if kind == "handle":
+        return Solid(kind, size * np.array([rng.uniform(55.0, 70.0), rng.uniform(6.0, 11.0), rng.uniform(45.0, 55.0)]))
     half_height = size * rng.uniform(32.0, 45.0)
     if kind == "cylinder":
         radius = size * rng.uniform(25.0, 33.0)
         return Solid(kind, np.array([radius, radius, half_height]))
+    if kind == "plate":
+        return Solid("box", np.array([size * rng.uniform(30.0, 55.0), size * rng.uniform(4.0, 9.0), 1.2 * half_height]))
     return Solid(kind, np.array([size * rng.uniform(22.0, 28.0), size * rng.uniform(20.0, 28.0), half_height]))
 
 
-def random_grasp(rng: np.random.Generator, hand: Hand, lasting_s: float) -> Grasp | None:
+def random_grasp(rng: np.random.Generator, hand: Hand, lasting_s: float, kind: str) -> Grasp | None:
     """Draw a grasp; None when none of the tried places lets at least three fingers and the thumb touch."""
-    solid = random_solid(rng, hand)
+    solid = random_solid(rng, hand, kind)
     rest = random_rest(rng)
     opened = dict(rest)
     for finger in FINGERS:
@@ -88,6 +99,7 @@ def random_grasp(rng: np.random.Generator, hand: Hand, lasting_s: float) -> Gras
     if best is None or best[0] < 4.0:
         return None
     _, closed, wrist = best
+    closed = _wrapped(rng, hand, solid, opened, closed, wrist)
     return _scheduled(rng, hand, solid, rest, opened, closed, wrist, lasting_s)
 
 
@@ -134,9 +146,64 @@ def _close(
         for name in opened:
             if name.startswith(finger):
                 closed[name] = float(values[name][stop])
-        touches = tip_gaps[stop, place] < 4.0
+        touches = (fingers if solid.barred else tip_gaps)[stop, place] < 4.0
         score += (1.5 if finger == "thumb" else 1.0) * touches - 0.1 * (len(stops) == 0)
     return closed, score
+
+
+def _wrapped(
+    rng: np.random.Generator,
+    hand: Hand,
+    solid: Solid,
+    opened: dict[str, float],
+    closed: dict[str, float],
+    wrist: dict[str, float],
+) -> dict[str, float]:
+    """Close the long fingers as tendons do: each joint goes on until a bone beyond it touches, then the tip slides.
+
+    A knuckle stops when the proximal bone touches, the hinges when an outer bone does. A tip that has met the object
+    first may slide along it: the knuckle bends on while the hinges give way. The thumb stays as `closed` has it.
+    """
+    T_object = np.eye(4)
+    T_object[2, 3] = solid.half[2]
+    angles = {**opened, **{name: value for name, value in closed.items() if name.startswith("thumb")}}
+
+    def gaps(tried: dict[str, float]) -> FloatArray:
+        """Return (4, 3) least distances of each bone of the long fingers, and below the desk, mm."""
+        points, radii = finger_points(hand, states(hand, Track({**tried, **wrist}), np.zeros(1)).bones)
+        apart = np.minimum(solid.distance(points[0] - T_object[:3, 3]) - radii, points[0, ..., 2] - radii - 2.6)
+        return np.asarray(apart.reshape(5, 3, -1).min(axis=-1)[1:])
+
+    # Fingers close alike: in recorded grasps (FPHA) knuckles and hinges of neighbours correlate by 0.85.
+    slide = rng.uniform(0.0, 35.0) * (rng.random() < 0.6)
+    rates = rng.uniform((0.6, 0.8), (1.6, 2.0))
+    rate = {finger: rates * rng.uniform(0.8, 1.2, 2) for finger in FINGERS}
+    slides = {finger: slide * rng.uniform(0.6, 1.4) for finger in FINGERS}
+    for finger in FINGERS:
+        knuckle, hinge = f"{finger}_mcp_flex", f"{finger}_pip_flex"
+        row = FINGERS.index(finger)
+        moving = {knuckle: rate[finger][0], hinge: rate[finger][1]}
+        for _ in range(90):
+            for name in list(moving):
+                tried = {**angles, name: angles[name] + moving[name]}
+                gap = gaps(tried)[row]
+                beyond = gap if name == knuckle else gap[1:]
+                if beyond.min() < _CONTACT_MM or tried[name] > (85.0 if name == knuckle else 105.0):
+                    del moving[name]
+                else:
+                    angles = tried
+            if not moving:
+                break
+        # Slide: what the knuckle bends more, the hinges give way by, until the proximal bone touches.
+        left = slides[finger]
+        while left > 0.0 and angles[knuckle] < 80.0:
+            tried = {**angles, knuckle: angles[knuckle] + 1.0}
+            while gaps(tried)[row, 1:].min() < _CONTACT_MM and tried[hinge] > 5.0:
+                tried[hinge] -= 0.5
+            if gaps(tried)[row].min() < _CONTACT_MM:
+                break
+            angles, left = tried, left - 1.0
+    return angles
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +386,7 @@ class World:
 
 
 def make_world(seed: int) -> World:
-    """Return the world of a seed."""
+    """Return the world of a seed; seeds in turn grasp each of `KINDS`."""
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(6)]
     hand = with_patch(random_hand(streams[0]), streams[0])
     cameras = random_rig(streams[1])
@@ -336,7 +403,8 @@ def make_world(seed: int) -> World:
         lambda: random_gestures(rng, hand, spans["G1"]), lambda track: _possible(cameras, hand, track, spans["G1"])
     )
     grasp = _first(
-        lambda: random_grasp(rng, hand, spans["G2"]), lambda made: _graspable(cameras, hand, made, spans["G2"])
+        lambda: random_grasp(rng, hand, spans["G2"], KINDS[seed % len(KINDS)]),
+        lambda made: _graspable(cameras, hand, made, spans["G2"]),
     )
     return World(seed, hand, look, cameras, timings, gestures, grasp, still, _random_boards(streams[5], cameras))
 
@@ -384,16 +452,23 @@ def _possible(cameras: dict[str, Camera], hand: Hand, track: Track, lasting_s: f
 
 
 def _graspable(cameras: dict[str, Camera], hand: Hand, grasp: Grasp, lasting_s: float) -> bool:
+    return is_possible(hand, grasp, lasting_s) and _seen(cameras, hand, _moments(hand, grasp, lasting_s))
+
+
+def is_possible(hand: Hand, grasp: Grasp, lasting_s: float) -> bool:
+    """Return whether a grasp is slow enough, and nothing passes through anything else."""
     if fastest_tip(hand, grasp.track, lasting_s) > _FASTEST[1]:
         return False
-    motion = grasp.states(hand, np.arange(-0.02, lasting_s + 0.02, 0.02))
-    if not _seen(cameras, hand, motion) or least_gap(hand, motion) < -1.2 or desk_gap(hand, motion) < 2.0:
-        return False
-    if motion.T_world_object is None:
+    motion = _moments(hand, grasp, lasting_s)
+    if least_gap(hand, motion) < -1.2 or desk_gap(hand, motion) < 2.0 or motion.T_world_object is None:
         return False
     corners = grasp.solid.half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     foot = (motion.T_world_object[:, :3, :3] @ corners.T)[:, 2].min(axis=1) + motion.T_world_object[:, 2, 3]
     return float(foot.min()) > -1.5 and float(object_gap(hand, motion, grasp.solid, motion.T_world_object).min()) > -1.2
+
+
+def _moments(hand: Hand, grasp: Grasp, lasting_s: float) -> States:
+    return grasp.states(hand, np.arange(-0.02, lasting_s + 0.02, 0.02))
 
 
 def _random_boards(rng: np.random.Generator, cameras: dict[str, Camera]) -> FloatArray:

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 import cv2
@@ -26,8 +26,9 @@ from rhot.errors import BusError, ConfigError
 from rhot.messages import BoxShape, CylinderShape, HandPose, Message, ObjectPose, SphereShape
 from rhot.messages.base import wire_position
 from rhot.messages.tracked import ObjectShape
-from rhot.offline import core, track_with
+from rhot.offline import MessagesBeside, core, track_with
 from rhot.recording import load_recording
+from rhot.recording.messages import RecordedMessages
 from rhot.report.svg import line_plot
 from rhot.rig import BusConfig, Rig
 from rhot.rig.folder import write_text_atomic
@@ -38,7 +39,6 @@ from rhot_bench.tracking.tracking import scene_frames, simulated_rig
 from rhot_objects.assemble import plan_sources
 from rhot_objects.offline import PlayedObjects
 from rhot_sim.world.world import World
-from rhot_tools.export.source import RecordedMessages
 from rhot_tools.grasp.figures import GraspFigures, grasp_figures, grasp_sections
 from rhot_tools.grasp.pickups import as_true
 from rhot_tools.grasp.session import PALM, TIPS, GraspSession, grasp_session
@@ -48,21 +48,6 @@ from rhot_tools.measures.rows import check_output
 # Where a grasping session comes from: the simulated rig, rendered pictures, a recording, the running rig.
 
 SEQUENCE = "G2"
-
-
-class _Posed:
-    """One object whose poses are known beforehand."""
-
-    def __init__(self, key: str, poses: list[ObjectPose]) -> None:
-        self._key, self._poses, self._next = key, poses, 0
-
-    def until(self, t_ns: int) -> list[tuple[str, Message]]:
-        """Return the poses up to a time that were not returned before."""
-        outputs: list[tuple[str, Message]] = []
-        while self._next < len(self._poses) and self._poses[self._next].t_ns <= t_ns:
-            outputs.append((self._key, self._poses[self._next]))
-            self._next += 1
-        return outputs
 
 
 def simulated(
@@ -81,7 +66,7 @@ def rendered(data: Path, keep: Path, advance: Callable[[], None] = lambda: None)
     rig = prepare_rig(data, keep / "rig")
     frames = found_markers(rig, data, SEQUENCE, keep, advance)
     at_rate = at_rate_of(rig, load_recording(data / SEQUENCE))
-    objects = _Posed("rhot/object/cylinder", _rendered_object(data))
+    objects = MessagesBeside(("rhot/object/held", pose) for pose in _rendered_object(data))
     return list(track_with(core("fusion")(at_rate), core("ik")(at_rate), frames, objects))
 
 
@@ -136,14 +121,25 @@ def _rendered_object(data: Path) -> list[ObjectPose]:
     file = data / SEQUENCE / "truth_500hz.csv.gz"
     try:
         size = json.loads((data / "hand.json").read_text(encoding="utf-8"))["object"]
-        shape = CylinderShape(radius=1e-3 * size["radius_mm"], height=1e-3 * size["height_mm"])
+        shape = _rendered_shape(size)
         with gzip.open(file, "rt", encoding="utf-8", newline="") as lines:
             return [_object_pose(row, shape) for row in csv.DictReader(lines)]
     except (OSError, KeyError, ValueError) as error:
         raise ConfigError(f"{file}: cannot be used as the truth of the rendered object: {error}") from error
 
 
-def _object_pose(row: dict[str, str], shape: CylinderShape) -> ObjectPose:
+def _rendered_shape(size: dict[str, Any]) -> ObjectShape:
+    if "bar_radius_mm" in size:
+        raise ValueError(f"a {size['type']} is a mesh, which this set holds no file of")
+    if "height_mm" in size:
+        return CylinderShape(radius=1e-3 * size["radius_mm"], height=1e-3 * size["height_mm"])
+    if "radius_mm" in size:
+        return SphereShape(radius=1e-3 * size["radius_mm"])
+    x, y, z = (1e-3 * float(edge) for edge in size["size_mm"])
+    return BoxShape(size=(x, y, z))
+
+
+def _object_pose(row: dict[str, str], shape: ObjectShape) -> ObjectPose:
     position: FloatArray = 1e-3 * np.array([float(row[f"obj_{axis}"]) for axis in "xyz"])
     x, y, z, w = (float(row[f"obj_q{axis}"]) for axis in "xyzw")
     return ObjectPose(

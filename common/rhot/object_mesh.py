@@ -6,7 +6,7 @@ import io
 import logging
 import struct
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
+from rhot.geometry.distance_grid import DistanceGrid, distance_grid
 from rhot.geometry.hull import hull_planes
 from rhot.messages import MeshShape, ObjectShape
 from rhot.messages.tracked import MOST_PLANES
@@ -37,7 +38,7 @@ _KEPT: Final = 8
 _said = SparingLog(60.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ObjectMesh:
     """A surface, object axes: the file's, about the middle of its bounding box.
 
@@ -56,6 +57,11 @@ class ObjectMesh:
     middle: FloatArray
     scale: float
     shape: MeshShape
+
+    @cached_property
+    def distances(self) -> DistanceGrid:
+        """Signed distances from the surface, object axes; half a second's work the first time."""
+        return distance_grid(self.corners, self.triangles)
 
 
 def object_shape(rig: Rig, name: str) -> ObjectShape | None:

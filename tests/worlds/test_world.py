@@ -14,9 +14,9 @@ from worlds.contact import least_gap, object_gap
 from worlds.hand import MARKERS, joint_positions, marker_positions
 from worlds.look import lab
 from worlds.motion import fastest_tip
-from worlds.skin import make_skin
+from worlds.skin import make_skin, with_patch
 from worlds.truth import Seen, write_fixed, write_seen
-from worlds.world import COUNTS, World, make_world
+from worlds.world import COUNTS, World, is_possible, make_world, random_grasp, random_hand
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +120,16 @@ def test_visible_paint_is_measured_by_its_share_of_each_pixel() -> None:
 def test_joints_of_the_grasp_stay_above_the_desk(world: World) -> None:
     joints = joint_positions(world.hand, world.states("G2", times(world, "G2")).bones)
     assert joints[..., 2].min() > 0.0
+
+
+@pytest.mark.parametrize("kind", ["ring", "handle"])
+def test_fingers_close_round_a_bar(kind: str) -> None:
+    rng = np.random.default_rng(3)
+    hand = with_patch(random_hand(rng), rng)
+    grasps = (random_grasp(rng, hand, 2.4, kind) for _ in range(30))
+    grasp = next(grasp for grasp in grasps if grasp is not None and is_possible(hand, grasp, 2.4))
+    held = grasp.states(hand, np.array([1.4]))
+    assert held.T_world_object is not None
+    gaps = object_gap(hand, held, grasp.solid, held.T_world_object)[0, 1:5]
+    assert (gaps < 2.0).sum() >= 2
+    assert gaps.min() > -1.2

@@ -84,6 +84,13 @@ def grasped(solid: Solid, colour: Colour) -> Any:
     material = materials.plain("object", colour, 0.4)
     if solid.kind == "box":
         thing = box("object", 2 * solid.half, material, EDGE_MM)
+    elif solid.barred:
+        corners, quads = solid.surface()
+        mesh = bpy.data.meshes.new("object")
+        mesh.from_pydata((corners * UNIT).tolist(), [], quads.tolist())
+        mesh.materials.append(material)
+        shade_smooth(mesh)
+        thing = new_object("object", mesh)
     else:
         radius, height = solid.half[0] * UNIT, 2 * solid.half[2] * UNIT
         if solid.kind == "ball":

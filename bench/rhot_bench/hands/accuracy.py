@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from rhot.anatomy.hand import HandModel
-from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.anatomy.skeleton import FINGER_ANGLES, FINGERS, JOINTS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.messages import HandPose, Side
 from rhot_sim.comparison.accuracy import NEAR_FRAMES, visible_to_two
@@ -117,7 +117,6 @@ def _gaps(visible: BoolArray) -> list[tuple[int, int]]:
 
 START_NS: Final = 1_700_000_000_000_000_000
 """Rig time of the world's time 0 in generated point sets."""
-ANGLES: Final = ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
 _GAP_S: Final = 0.05
 
 
@@ -128,7 +127,7 @@ class HandRun:
     Attributes:
         t_s: (N,) seconds since the start of the world.
         positions, true_positions: (N, 26, 3) metres, rig frame, in the order of `rhot.anatomy.skeleton.JOINTS`.
-        angles, true_angles: (N, 5, 4) radians; columns as in `ANGLES`.
+        angles, true_angles: (N, 5, 4) radians; columns as in `FINGER_ANGLES`.
         measured: (N, 5) whether each finger was.
     """
 
@@ -177,7 +176,7 @@ def against_truth(poses: Sequence[HandPose], world: World, side: Side, start_t_n
     sample = world.sample(t_s)
     positions = np.array([[pose.joints[name].position for name in JOINTS] for pose in poses])
     angles = np.array(
-        [[[getattr(pose.angles[finger], angle) for angle in ANGLES] for finger in FINGERS] for pose in poses]
+        [[[getattr(pose.angles[finger], angle) for angle in FINGER_ANGLES] for finger in FINGERS] for pose in poses]
     )
     measured = np.array([[pose.fingers.get(finger) == "measured" for finger in FINGERS] for pose in poses])
     return HandRun(t_s, positions, sample.joints[side].positions, angles, sample.angles[side], measured)
@@ -198,8 +197,8 @@ def hand_figures(run: HandRun, model: HandModel, settle_s: float = 0.5) -> HandF
         joints_mm=_mean(error[full]),
         joints_hidden_mm=_mean(error[partly]),
         joints_p95_mm=float(np.percentile(error[late], 95.0)) if late.any() else float("nan"),
-        angles_deg={name: _rms(wrong_deg[full][..., k]) for k, name in enumerate(ANGLES)},
-        angles_long_deg={name: _rms(wrong_deg[full][:, 1:, k]) for k, name in enumerate(ANGLES)},
+        angles_deg={name: _rms(wrong_deg[full][..., k]) for k, name in enumerate(FINGER_ANGLES)},
+        angles_long_deg={name: _rms(wrong_deg[full][:, 1:, k]) for k, name in enumerate(FINGER_ANGLES)},
         step_mm=float(longer.max()) if longer.size else float("nan"),
         step_off_mm=float(off.max()) if off.size else float("nan"),
         beyond_limits_deg=float(np.degrees(excess.max(initial=0.0))),

@@ -129,6 +129,16 @@ def _hand_rows(hands: dict[str, HandErrors], targets: Targets) -> tuple[Row, ...
                 Row(f"{method}, tips {name}, {label}", _at(errors, share, 1.0), "mm", most=limit, note=note)
                 for (label, share), limit in zip((("median", 50), ("p95", 95)), limits, strict=True)
             ]
+            shares = hand.tips_m[chosen] / hand.sigmas_m[chosen]
+            rows += [
+                Row(
+                    f"{method}, tips {name}, within {sigmas} sigma",
+                    _mean(np.where(shares < sigmas, 100.0, 0.0)),
+                    "%",
+                    note=note,
+                )
+                for sigmas in (1, 2)
+            ]
         lost = (hidden | ~known).sum(axis=1)
         joints = hand.joints_m * _MM
         seen, held = (hand.views >= 2).all(axis=1), hand.grasps & (lost >= 2)

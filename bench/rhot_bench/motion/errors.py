@@ -67,6 +67,7 @@ class HandErrors:
         age_s: (N,) since the first frame.
         joints_m: (N,) mean distance of the 26 joints.
         tips_m: (N, 5) distance of the tip joints.
+        sigmas_m: (N, 5) stated standard deviation of these.
         views: (N, 5) cameras that see each tip well then.
         hidden_s: (N, 5) since a camera last saw any of it; 0 while one does, NaN before it was first seen.
         step_m: (N, 5) step from the pose before, beyond the true one, in the 0.1 s after a tip re-appeared; else NaN.
@@ -77,6 +78,7 @@ class HandErrors:
     age_s: FloatArray
     joints_m: FloatArray
     tips_m: FloatArray
+    sigmas_m: FloatArray
     views: IntArray
     hidden_s: FloatArray
     step_m: FloatArray
@@ -149,6 +151,7 @@ def hand_errors(tracks: Tracks, poses: Iterable[HandPose]) -> HandErrors:
         _seconds(t_ns - start_ns),
         apart.mean(axis=1),
         apart[:, _TIPS],
+        np.array([[pose.sigma.get(JOINTS[tip], np.nan) for tip in _TIPS] for pose in used]).reshape(-1, 5),
         views,
         hidden,
         _steps(t_ns, found[:, _TIPS], true[:, _TIPS], hidden),

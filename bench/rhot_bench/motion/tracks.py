@@ -335,11 +335,19 @@ def draw_hand(
         flesh = _with_object(rng, motion, flesh)
     length = motion.length_m + float(rng.normal(0.0, 0.0015))
     across = float(np.linalg.norm(motion.knuckles[1] - motion.knuckles[4])) + 0.024 * scale
-    width = float(np.clip(across + rng.normal(0.0, 0.0015), *(length * np.array(WIDTH_OVER_LENGTH) * [1.02, 0.98])))
-    measured = HandFile(
-        date=today(), length_m=round(length, 4), width_m=round(width, 4), quality={"source": "two measures by a ruler"}
-    )
+    measured = ruler_measures(length, across + float(rng.normal(0.0, 0.0015)))
     return flesh, surfaces, measured, patch_m
+
+
+def ruler_measures(length_m: float, width_m: float) -> HandFile:
+    """Return what two measures by a ruler tell of a hand; the width is brought to what human hands have."""
+    width_m = float(np.clip(width_m, *(length_m * np.array(WIDTH_OVER_LENGTH) * [1.02, 0.98])))
+    return HandFile(
+        date=today(),
+        length_m=round(length_m, 4),
+        width_m=round(width_m, 4),
+        quality={"source": "two measures by a ruler"},
+    )
 
 
 def _with_object(rng: np.random.Generator, motion: HandMotion, flesh: Flesh) -> Flesh:

@@ -143,6 +143,18 @@ CHANGES: Final[Mapping[str, Change]] = {
         picture=_gained(0.6, 0.66, 0.75),
         keeps_calibration=True,
     ),
+    **{
+        f"{what}{percent:+d}": Change(
+            f"{what} {percent:+d} % since the calibration",
+            picture=_gained(*(1.0 + 0.01 * percent * share for share in shares)),
+            keeps_calibration=True,
+        )
+        for what, shares, percents in (
+            ("brightness", (1.0, 1.0, 1.0), (-40, -20, 20, 40)),
+            ("colour", (-1.0, 0.0, 1.0), (-20, -10, 10, 20)),
+        )
+        for percent in percents
+    },
 }
 
 

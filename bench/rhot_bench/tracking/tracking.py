@@ -14,6 +14,7 @@ import numpy as np
 from rich.progress import Progress
 
 from rhot.anatomy.hand import HandModel
+from rhot.anatomy.skeleton import FINGER_ANGLES
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, PointSet
@@ -272,7 +273,7 @@ def hand_rows(hand: HandFigures | None) -> tuple[Row, ...]:
                 most=8.0,
                 peer=PHONE,
             )
-            for name in ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
+            for name in FINGER_ANGLES
         ),
         Row("largest step beyond true motion", hand.step_mm if hand else nan, "mm", most=8.0),
         Row("largest difference from the true step", hand.step_off_mm if hand else nan, "mm"),

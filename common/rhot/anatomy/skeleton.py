@@ -52,3 +52,25 @@ BODY_PARENTS: Final[dict[str, str | None]] = {
 }
 """The joints of `rhot/body` and their parents, parents first. Names are OpenXR's: of `hips`, spine and head those of
 XR_FB_body_tracking, of legs and arms those of XR_BD_body_tracking (whose pelvis the hips are)."""
+
+
+# Angles of fingers by name.
+
+FINGER_ANGLES: Final = ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
+"""Of each finger, in messages."""
+_THUMB: Final = dict(zip(FINGER_ANGLES, ("cmc_flexion", "cmc_abduction", "mcp_flexion", "ip_flexion"), strict=True))
+"""The thumb's joints by their anatomical names: its chain begins one joint earlier and ends in a single IP joint."""
+
+
+def angle_name(part: str, angle: str) -> str:
+    """Return the name of a joint angle in files, such as `index_mcp_flexion`, `thumb_cmc_flexion`, `left_knee_flexion`.
+
+    Messages give every finger the same four names; in files the thumb's are those of its own joints.
+    """
+    return f"{part}_{_THUMB[angle] if part == 'thumb' else angle}"
+
+
+HAND_ANGLES: Final = tuple((finger, angle) for finger in FINGERS for angle in FINGER_ANGLES)
+"""(20,) finger and angle of a hand, in the order of `rhot.anatomy.hand`."""
+HAND_ANGLE_NAMES: Final = tuple(angle_name(finger, angle) for finger, angle in HAND_ANGLES)
+"""(20,) their names in files."""

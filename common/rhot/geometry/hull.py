@@ -2,8 +2,9 @@
 
 A plane is (x, y, z, d): its unit normal leads out, and the body lies where normal · point ≤ d.
 
-Fingers meet a mesh by its convex hull. How far it, the bounding box and the bounding cylinder are off the surface that
-a fingertip of 8 mm reaches, median and 95 % (`tests/rhot/test_object_mesh.py` measures some of it again):
+Who has a mesh's file meets its distances (`distance_grid`), others its convex hull. How far it, the bounding box and
+the bounding cylinder are off the surface that a fingertip of 8 mm reaches, median and 95 %
+(`tests/rhot/test_object_mesh.py` measures some of it again):
 
     mm               mug       bottle      bowl        pear       brick      hammer      ball
     64 planes     1.3  23    0.1 4.7    0.6  20    0.6  2.5    0.0  0.0    2.8  18    0.9  2.5

@@ -16,12 +16,13 @@ from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.plugins import load_plugin
 from rhot_ik.hand.blending import blended, with_own_motion
 from rhot_ik.hand.closed_form import FingerGeometry, marker_on_palm
-from rhot_ik.hand.contact import Shape
+from rhot_ik.hand.contact import GraspContact, Shape
 from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
 from rhot_ik.hand.filter.filter import HandFilter
 from rhot_ik.hand.filter.kinematics import HandKinematics
-from rhot_ik.hand.filter.process import ERROR_LASTS_S, HandState
+from rhot_ik.hand.filter.process import ANGLES, ERROR_LASTS_S, HandState
 from rhot_ik.hand.filter.smoother import smoothed_states
+from rhot_ik.hand.filter.uncertainty import joint_variances
 from rhot_ik.hand.track import HandSolution, HandTrack
 
 _SETTLES_S: Final = 0.025
@@ -253,6 +254,7 @@ class HandSolver:
         self._evidence = EvidenceModel(outline)
         self._kinematics = HandKinematics(self._geometry)
         self._filter = HandFilter(self._geometry, base_offset, known)
+        self._contact = GraspContact(model, self._filter, self._kinematics)
         eye = np.zeros(3) if viewpoint is None else viewpoint
         self._initialiser = HandInitialiser(self._filter, self._evidence, base_offset, eye)
         self.config = config
@@ -349,9 +351,10 @@ class HandSolver:
     def _continued(self, before: HandTrack, seen: HandObservation, shapes: Sequence[Shape]) -> HandTrack:
         dt_s = (seen.t_ns - before.t_ns) / 1e9
         measured = seen.tips_seen & seen.tips_measured
-        expected = self._filter.predict(before.state, dt_s, ~measured, holds=len(shapes) > 0)
+        held = self._contact.is_held(before.state, seen.tips, measured, shapes)
+        expected = self._filter.predict(before.state, dt_s, ~measured, holds=held)
         evidence = self._evidence.assess(seen, self._filter.patch_rotation(expected), before.corner_noise)
-        updated = self._filter.update(expected, evidence, shapes=shapes)
+        updated = self._contact.corrected(self._filter.update(expected, evidence), ~measured, shapes, held=held)
         from_patch = before.from_patch or (evidence.rotation is not None and bool(measured.any()))
         if before.from_patch or not from_patch:
             state, lost_s = self._reinitialised_if_lost(before, updated, seen, int(np.count_nonzero(measured)), dt_s)
@@ -455,7 +458,17 @@ class HandSolver:
         # NaN where a tip was not seen, as it came.
         residual = np.sqrt((gaps * gaps).sum(-1))
         palm_measured = seen.base is not None and seen.base_measured
-        return HandSolution(T, track.shown, positions, orientations, residual, track.measured, palm_measured)
+        return HandSolution(
+            T_rig_wrist=T,
+            angles=track.shown,
+            positions=positions,
+            orientations=orientations,
+            residual=residual,
+            fingers_measured=track.measured,
+            palm_measured=palm_measured,
+            sigma=np.sqrt(joint_variances(self._kinematics, state, positions)),
+            angle_sigma=np.sqrt(np.maximum(state.P.diagonal()[ANGLES], 0.0)).reshape(5, 4),
+        )
 
     def _angles(self, state: HandState, seen: HandObservation, shown: FloatArray) -> FloatArray:
         """Return the angles (5, 4) of the fingers, radians; those not measured are the filter's."""

@@ -21,6 +21,8 @@ class HandSolution:
         residual: (5,) metres between measured and modelled marker; NaN where there was no measurement.
         fingers_measured: (5,).
         palm_measured: whether the base marker was.
+        sigma: (26,) standard deviation of each joint's position by the filter, metres: root of the sum over the axes.
+        angle_sigma: (5, 4) of each angle, radians.
     """
 
     T_rig_wrist: FloatArray
@@ -30,6 +32,8 @@ class HandSolution:
     residual: FloatArray
     fingers_measured: BoolArray
     palm_measured: bool
+    sigma: FloatArray
+    angle_sigma: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

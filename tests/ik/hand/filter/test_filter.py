@@ -11,9 +11,10 @@ from rhot.geometry.rotations import rotation_from_vector, vector_from_rotation
 from rhot.messages import Side
 from rhot.rig import HandFile
 from rhot_ik.hand.closed_form import FingerGeometry
-from rhot_ik.hand.contact import Sphere
+from rhot_ik.hand.contact import GraspContact, Sphere
 from rhot_ik.hand.filter.evidence import CornerNoise, Evidence
 from rhot_ik.hand.filter.filter import HandFilter
+from rhot_ik.hand.filter.kinematics import HandKinematics
 from rhot_ik.hand.filter.process import ANGLES, HandState, angle_covariance, closed_angles, hidden_angles, rest_angles
 
 KNOWN = np.zeros(6, dtype=np.bool_)
@@ -148,14 +149,18 @@ def test_a_hidden_finger_ends_at_the_thing_that_it_closes_round() -> None:
     held = R_TRUE @ np.array([0.0, -0.055, -0.11]) + P_TRUE
     ball = Sphere(held, 0.034)
     hidden = np.array([False, False, True, False, False])
+    geometry = FingerGeometry.of(model, {})
+    contact = GraspContact(model, hand, HandKinematics(geometry))
     for shapes in ((), (ball,)):
         closing = state
         for _ in range(120):
             expected = hand.predict(closing, 1 / 60, hidden, holds=True)
-            closing = hand.update(expected, evidence_of(hand, angles, hidden=(2,)), shapes=shapes)
+            seen = hand.update(expected, evidence_of(hand, angles, hidden=(2,)))
+            closing = contact.corrected(seen, hidden, shapes, held=False)
         tip = hand.tips(closing)[2]
         depth = ball.radius_m - np.linalg.norm(tip - held)
         assert (depth < 0.001) == bool(shapes)
+        assert np.linalg.eigvalsh(closing.P).min() > -1e-12
 
 
 def test_covariance_stays_symmetric_and_positive() -> None:

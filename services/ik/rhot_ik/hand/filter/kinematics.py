@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from rhot.anatomy.hand import METACARPALS, MOVING, PALM, WRIST
+from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
 from rhot_ik.hand.closed_form import FingerGeometry
@@ -54,16 +55,11 @@ class HandKinematics:
         self._chain = np.concatenate(
             [np.einsum("fkv,fvit->fkit", joints, to_palm).reshape(5, 9, _TERMS), self._marker], axis=1
         )
-        by_bends = np.zeros((5, 3, _VECTORS))
-        for place in range(3):
-            by_bends[:, place, _Y[place:]] = marker[:, _Z[place:]]
-            by_bends[:, place, _Z[2]] = -geometry.ends[:, 1]
-        # ∂/∂a of (x, y, z) is (z, 0, −x).
-        about = model.handedness * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
-        by_abduction = np.einsum("fv,fij,jk,vkt->fit", marker, model.frames, about, vectors)
-        flexion, middle, last = np.einsum("fkv,fvit->kfit", by_bends, to_palm)
-        derivatives = np.stack([flexion, by_abduction, middle, last, self._marker], axis=2)
+        by_angles = _by_angles(marker, model.frames, model.handedness)
+        derivatives = np.concatenate([by_angles, self._marker[:, :, None]], axis=2)
         self._marker_and_derivatives = np.concatenate([self._marker, derivatives.reshape(5, 15, _TERMS)], axis=1)
+        ends = [_by_angles(joints[:, place], model.frames, model.handedness) for place in range(3)]
+        self._ends_by_angles = np.stack(ends, axis=1).reshape(5, 36, _TERMS)
         # The derivative by the length is the marker of a finger of the model's length.
         self._longer = np.array([1.0, 1.0, 1.0, *([1.0, 1.0, 1.0, 1.0, 0.0] * 3)])
         rest = model.forward_local(np.zeros((5, 4)))
@@ -91,6 +87,39 @@ class HandKinematics:
         """Return the markers (5, 3), metres, wrist frame, of a hand of the model's lengths at angles (20,)."""
         points: FloatArray = (self._marker @ self._terms(q))[..., 0] + self._knuckles
         return points
+
+    def chains(self, q: FloatArray, longer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the joints that move with each finger, wrist frame, and how.
+
+        Args:
+            q: (20,) radians, finger by finger.
+            longer: (5,) by which share each finger is longer than the model's.
+
+        Returns:
+            Both hinges and the tip (5, 3, 3), metres, and their derivatives (5, 3, 3, 5) by the finger's own four
+            angles and its length.
+        """
+        terms = self._terms(q)
+        from_knuckles = (self._chain[:, :9] @ terms).reshape(5, 3, 3)
+        stretched = (1.0 + longer)[:, None, None]
+        derivatives = np.empty((5, 3, 3, 5))
+        derivatives[..., :4] = (self._ends_by_angles @ terms).reshape(5, 3, 3, 4) * stretched[..., None]
+        derivatives[..., 4] = from_knuckles
+        return self._all_knuckles + from_knuckles * stretched, derivatives
+
+    def joint_derivatives(self, q: FloatArray, longer: FloatArray) -> FloatArray:
+        """Return the derivatives (26, 3, 25) of all joints' positions, wrist frame, by angles and fingers' lengths.
+
+        Args:
+            q: (20,) radians, finger by finger.
+            longer: (5,) by which share each finger is longer than the model's.
+        """
+        _, moved = self.chains(q, longer)
+        derivatives = np.zeros((len(JOINTS), 3, 25))
+        for finger, ends in enumerate(MOVING[:, 1:]):
+            derivatives[ends, :, 4 * finger : 4 * finger + 4] = moved[finger, ..., :4]
+            derivatives[ends, :, 20 + finger] = moved[finger, ..., 4]
+        return derivatives
 
     def pose(
         self, R: FloatArray, p: FloatArray, q: FloatArray, longer: FloatArray, shorter_palm_m: float = 0.0
@@ -150,6 +179,27 @@ def _turns(handedness: float) -> FloatArray:
         for bone, hinges in enumerate(((flexion,), (flexion, middle), (flexion, middle, last))):
             turns[4 * finger + 1 + bone, hinges] = 1.0
     return turns
+
+
+def _by_angles(shares: FloatArray, frames: FloatArray, handedness: float) -> FloatArray:
+    """Return the derivatives (5, 3, 4, 20), palm, by `_terms`, of points by flexion, abduction, middle and last hinge.
+
+    Args:
+        shares: (5, 7) of z, y of the three bones and their x in each finger's point, metres.
+        frames: (5, 3, 3) of the fingers at rest.
+        handedness: 1 right, −1 left.
+    """
+    vectors = _vectors()
+    bent = np.zeros((3, 5, _VECTORS))
+    for place in range(3):
+        # ∂z/∂b = y, ∂y/∂b = −z, of this bone and those after it.
+        bent[place][:, _Y[place:]] = shares[:, _Z[place:]]
+        bent[place][:, _Z[place:]] = -shares[:, _Y[place:]]
+    flexion, middle, last = np.einsum("kfv,fij,vjt->kfit", bent, frames, vectors)
+    # ∂/∂a of (x, y, z) is (z, 0, −x).
+    about = handedness * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    abduction = np.einsum("fv,fij,jk,vkt->fit", shares, frames, about, vectors)
+    return np.stack([flexion, abduction, middle, last], axis=2)
 
 
 def _vectors() -> FloatArray:
