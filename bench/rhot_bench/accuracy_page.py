@@ -98,7 +98,7 @@ _END: Final = "<!-- end of headlines -->"
 _INTRODUCTION: Final = """\
 # Accuracy and speed
 
-What holds today, the strictest measurement first. Generated from the files in [results](results), which hold every
+What holds today, the strictest measurement first. Generated from the files in `docs/results`, which hold every
 other figure too; do not edit it by hand:
 
 ```

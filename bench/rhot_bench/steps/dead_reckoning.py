@@ -168,14 +168,14 @@ def reckon(
     gravity = np.array([0.0, 0.0, -GRAVITY_M_S2])
     model = InertialModel(Strapdown(gravity, noise or InertialNoise()), np.eye(3))
     zero_velocity = ZeroVelocityDetector(detector)
-    state = _at_rest(samples)
+    state, refused_s = _at_rest(samples), 0.0
     positions = np.zeros((len(samples), 3))
     for k in range(1, len(samples)):
         h = float(samples.t_ns[k] - samples.t_ns[k - 1]) * 1e-9
         force, rate = samples.specific_force[k], samples.angular_rate[k]
         measured = zero_velocity.add(h, force, rate) if still is None else _VERDICTS[bool(still[k])]
         state = model.predict(state, h, InertialStep(h, samples.specific_force[k - 1], force, h * rate))
-        state = zero_velocity_update(model, state, measured, rate, h, gated=False)
+        state, refused_s = zero_velocity_update(model, state, measured, rate, h, refused_s, seen=False)
         positions[k] = state.position
     return positions
 

@@ -13,8 +13,8 @@ from rhot.rig import Rig
 from rhot_feet.imu.samples import FusedImuConverter, ImuSamples
 from rhot_sim.walker.world import WalkerWorld
 
-_BACK_S: Final = 0.05
-"""How far back samples are looked for that were not delivered yet."""
+_AHEAD_S: Final = 0.5
+"""How much is drawn at once: a draw of 50 samples costs hardly more than one of a single sample."""
 
 
 class WalkingWorld(Protocol):
@@ -38,12 +38,13 @@ class SimulatedSource:
         self._side: Side = side
         self._converter = FusedImuConverter()
         self._start_ns: int | None = None
-        self._last_s = 0.0
+        self._last_s = self._drawn_to_s = 0.0
+        self._drawn = _nothing()
 
     def open(self, start_ns: int) -> None:
         """Let the world begin at the start of the session."""
         self._converter.reset()
-        self._start_ns, self._last_s = start_ns, -1.0
+        self._start_ns, self._last_s, self._drawn_to_s, self._drawn = start_ns, -1.0, 0.0, _nothing()
 
     def read(self, now_ns: int) -> ImuSamples:
         """Return the samples that were delivered since the last call."""
@@ -51,23 +52,36 @@ class SimulatedSource:
         if start_ns is None or now_ns <= start_ns:
             return ImuSamples.none()
         now_s = (now_ns - start_ns) * 1e-9
-        # A converter that was away for longer than this gets what a port would have kept for it.
-        from_s = max(self._last_s - _BACK_S, now_s - 1.0, 0.0)
-        t_s, acceleration, orientation_xyzw, _ = self._world.imu(self._side, from_s, now_s)
-        if not len(t_s):
-            return ImuSamples.none()
+        self._draw_to(now_s)
+        t_s, delivered_s, acceleration, orientation_xyzw = self._drawn
+        # Samples come out of the port in order; whoever was away for a second or more gets what it kept.
+        ready = int(np.searchsorted(np.maximum.accumulate(delivered_s), now_s, side="right"))
+        self._drawn = (t_s[ready:], delivered_s[ready:], acceleration[ready:], orientation_xyzw[ready:])
         # Stamps jitter; what comes out of order is left out, because the filter takes samples in order.
-        later = t_s > np.maximum.accumulate(np.concatenate([[self._last_s], t_s[:-1]]))
-        new = later & (self._world.imu_delivered_s(self._side, t_s) <= now_s)
-        if not new.any():
+        last_s = np.maximum.accumulate(np.concatenate([[self._last_s], t_s[:ready]]))
+        new = np.flatnonzero((t_s[:ready] > last_s[:-1]) & (t_s[:ready] >= now_s - 1.0))
+        if not len(new):
             return ImuSamples.none()
         self._last_s = float(t_s[new][-1])
         t_ns = start_ns + np.rint(t_s[new] * 1e9).astype(np.int64)
         return self._converter.convert(t_ns, acceleration[new], orientation_xyzw[new])
 
+    def _draw_to(self, now_s: float) -> None:
+        """Have everything drawn that was measured until `now_s`, and some of what comes after."""
+        if now_s <= self._drawn_to_s:
+            return
+        from_s, self._drawn_to_s = max(self._drawn_to_s, now_s - 1.0), now_s + _AHEAD_S
+        t_s, acceleration, orientation_xyzw, _ = self._world.imu(self._side, from_s, self._drawn_to_s)
+        drawn = (t_s, self._world.imu_delivered_s(self._side, t_s), acceleration, orientation_xyzw)
+        self._drawn = tuple(np.concatenate(pair) for pair in zip(self._drawn, drawn, strict=True))
+
     def close(self) -> None:
         """Leave the world."""
         self._start_ns = None
+
+
+def _nothing() -> tuple[FloatArray, ...]:
+    return np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 4))
 
 
 def simulated_sensors(rig: Rig, sides: Sequence[Side]) -> dict[Side, SimulatedSource]:

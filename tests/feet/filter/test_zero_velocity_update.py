@@ -18,21 +18,30 @@ def test_a_standing_foot_loses_its_velocity_and_a_moving_one_keeps_it() -> None:
     model = KinematicModel()
     state = model.start(np.zeros(3), 1e-4 * np.eye(3), None)
     state.motion[3:6] = [0.3, 0.0, 0.0]
-    assert zero_velocity_update(model, state, MOVING, NO_RATE, SAMPLE_S, gated=True) is state
-    stood = zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, gated=True)
+    assert zero_velocity_update(model, state, MOVING, NO_RATE, SAMPLE_S, 0.0, seen=True)[0] is state
+    stood, _ = zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, 0.0, seen=True)
     assert np.linalg.norm(stood.motion[3:6]) < 0.001
     # Samples that follow each other four times as fast say half as much each.
-    often = zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S / 4.0, gated=True)
+    often, _ = zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S / 4.0, 0.0, seen=True)
     assert np.sqrt(often.P[3, 3]) == pytest.approx(2.0 * np.sqrt(stood.P[3, 3]), rel=0.01)
 
 
-def test_only_a_gated_update_is_refused() -> None:
+def test_what_contradicts_the_filter_is_refused_for_a_while_and_while_the_foot_is_seen_for_ever() -> None:
     model = KinematicModel()
     state = model.start(np.zeros(3), 1e-4 * np.eye(3), None)
     state.P[3:6, 3:6] = 0.01**2 * np.eye(3)
     state.motion[3:6] = [1.0, 0.0, 0.0]
-    assert zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, gated=True) is state
-    assert zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, gated=False).motion[3] < 0.9
+    refused_s = 0.0
+    for sample in range(1, 40):
+        after, refused_s = zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, refused_s, seen=False)
+        if after is not state:
+            break
+        assert refused_s == pytest.approx(sample * SAMPLE_S)
+    assert 0.05 < sample * SAMPLE_S < 0.1
+    assert refused_s == 0.0
+    assert after.motion[3] < 0.9
+    assert zero_velocity_update(model, state, MOVING, NO_RATE, SAMPLE_S, 0.03, seen=False) == (state, 0.03)
+    assert zero_velocity_update(model, state, STANDS, NO_RATE, SAMPLE_S, 10.0, seen=True)[0] is state
 
 
 def test_a_foot_that_rolls_moves_about_where_it_touches_the_floor() -> None:
@@ -45,7 +54,7 @@ def test_a_foot_that_rolls_moves_about_where_it_touches_the_floor() -> None:
     state = InertialState(zero, forwards, R, zero, zero, zero, np.eye(3), P)
     rolls = ZeroVelocity(still=False, speed_sigma=0.01, rate=None, rolls_m=0.1)
     rate = R.T @ toes_down
-    rolled = zero_velocity_update(model, state, rolls, rate, SAMPLE_S, gated=True)
-    stopped = zero_velocity_update(model, state, STANDS, rate, SAMPLE_S, gated=True)
+    rolled, _ = zero_velocity_update(model, state, rolls, rate, SAMPLE_S, 0.0, seen=True)
+    stopped, _ = zero_velocity_update(model, state, STANDS, rate, SAMPLE_S, 0.0, seen=True)
     assert rolled.velocity == pytest.approx(forwards, abs=1e-9)
     assert np.linalg.norm(stopped.velocity) < 0.001

@@ -24,6 +24,8 @@ class _Entry(Generic[State]):
     t_ns: int
     measurement: ImuInterval | Observation | None
     state: State
+    refused_s: float = 0.0
+    """For how long zero-velocity updates have been refused; see `zero_velocity_update`."""
 
 
 class StateHistory(Generic[State]):
@@ -60,7 +62,8 @@ class StateHistory(Generic[State]):
             self._seen_ns = max(self._seen_ns, measurement.t_ns)
         for k in range(index, len(self._entries)):
             entry = self._entries[k]
-            entry.state = self._updated(self._predicted(k, entry.t_ns), entry.measurement)
+            refused_s = self._entries[k - 1].refused_s
+            entry.state, entry.refused_s = self._updated(self._predicted(k, entry.t_ns), refused_s, entry.measurement)
         oldest = bisect_right(self._entries, self.newest_ns - self._horizon_ns, key=_time) - 1
         if oldest > 0:
             del self._entries[:oldest]
@@ -86,20 +89,22 @@ class StateHistory(Generic[State]):
                     return entry.measurement
         return None
 
-    def _updated(self, state: State, measurement: ImuInterval | Observation | None) -> State:
+    def _updated(
+        self, state: State, refused_s: float, measurement: ImuInterval | Observation | None
+    ) -> tuple[State, float]:
         if measurement is None:
-            return state
+            return state, refused_s
         if isinstance(measurement, Observation):
-            return self._model.update(state, measurement)
-        # Time after an observation for which a foot counts as seen.
-        gated = measurement.t_ns - self._seen_ns < 300_000_000
+            return self._model.update(state, measurement), refused_s
         return zero_velocity_update(
             self._model,
             state,
             measurement.zero_velocity,
             measurement.rate,
             measurement.step.duration_s,
-            gated=gated,
+            refused_s,
+            # Time after an observation for which a foot counts as seen.
+            seen=measurement.t_ns - self._seen_ns < 300_000_000,
         )
 
 
