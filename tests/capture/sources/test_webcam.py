@@ -102,9 +102,8 @@ def test_what_is_locked_and_what_is_not() -> None:
         del lacking[control]
     source = webcam(Driver(lacking))
     source.open(0)
-    assert source.problem == (
-        "camera left: not locked: exposure_s = 0.00390625, manual white balance; colours and times may drift"
-    )
+    assert source.refused == ["exposure_s = 0.00390625", "manual white balance"]
+    assert "refused exposure_s = 0.00390625, manual white balance; in this session its brightness" in source.problem
 
 
 def test_times_are_those_of_arrival_less_exposure_and_read_out() -> None:

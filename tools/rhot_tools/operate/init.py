@@ -41,20 +41,25 @@ def make_folder(path: Path) -> None:
 @click.option(
     "--sim", "simulated", is_flag=True, help="Make a simulated rig, calibrated and ready to run on this machine."
 )
+@click.option(
+    "--webcams", is_flag=True, help="Find the USB cameras of this machine, show each, and ask which is left and right."
+)
 @click.option("--uncalibrated", is_flag=True, help="With --sim: leave the rig uncalibrated, to try the calibration.")
 @click.option(
     "--feet",
     is_flag=True,
     help="With --sim: a simulated person whose feet are tracked, in place of a hand and cameras.",
 )
-def init(path: Path, simulated: bool, uncalibrated: bool, feet: bool) -> None:
+def init(path: Path, simulated: bool, webcams: bool, uncalibrated: bool, feet: bool) -> None:
     """Make a new rig folder RIG with a commented rig.toml for two cameras named left and right."""
     if uncalibrated and not simulated:
         raise ConfigError("--uncalibrated goes with --sim; a rig of your own begins without calibration anyway")
     if feet and (uncalibrated or not simulated):
         raise ConfigError("--feet goes with --sim alone; for feet of your own add [feet.camera], see docs/feet.md")
+    if webcams and simulated:
+        raise ConfigError("--webcams and --sim exclude each other: a rig has real cameras or simulated ones")
     with _new_folder(path):
-        _write(path, simulated, uncalibrated, feet)
+        _write(path, simulated, webcams, uncalibrated, feet)
 
 
 @contextlib.contextmanager
@@ -73,7 +78,7 @@ def _new_folder(path: Path) -> Iterator[None]:
         raise
 
 
-def _write(path: Path, simulated: bool, uncalibrated: bool, feet: bool) -> None:
+def _write(path: Path, simulated: bool, webcams: bool, uncalibrated: bool, feet: bool) -> None:
     if feet:
         load_plugin("rhot.simulated", "walker_folder", "--sim --feet", "sim")(path)
         click.echo(f"{path}: a simulated person. Run it with: rhot sim --rig {as_argument(path)}")
@@ -85,7 +90,21 @@ def _write(path: Path, simulated: bool, uncalibrated: bool, feet: bool) -> None:
         what = "a simulated rig without calibration" if uncalibrated else "a simulated rig"
         click.echo(f"{path}: {what}. Run it with: rhot sim --rig {as_argument(path)}")
         return
-    write_text_atomic(path / RIG_FILE, rig_template(folder=as_argument(path), name=path.resolve().name))
+    folder, name = as_argument(path), path.resolve().name
+    if webcams:
+        # Loaded here, because it loads OpenCV.
+        from rhot_tools.operate.webcams import EXPOSURE_S, READOUT_S, choose_cameras  # noqa: PLC0415
+
+        found = choose_cameras(Console())
+        text = rig_template(folder=folder, name=name, exposure_s=EXPOSURE_S, readout_s=READOUT_S, found=found)
+        write_text_atomic(path / RIG_FILE, text)
+        click.echo(
+            f"{path / RIG_FILE} written, with both cameras. Next:\n"
+            f"  rhot up --rig {folder}          starts everything; its page is http://localhost:8080, whose tab\n"
+            "                                   Calibrate leads through the rest"
+        )
+        return
+    write_text_atomic(path / RIG_FILE, rig_template(folder=folder, name=name))
     click.echo(
         f"{path / RIG_FILE} written. Next: look through it, then\n"
         f"  rhot doctor --rig {as_argument(path)}      what is missing, and how to get it\n"

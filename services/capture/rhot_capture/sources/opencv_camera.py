@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, Final
 
@@ -13,10 +13,13 @@ import cv2
 
 from rhot.errors import DeviceError
 from rhot.rig.config import CameraConfig
+from rhot_capture.drift import Drift
 from rhot_capture.sources.frame import Frame
 
 _SILENCE_S: Final = 3.0
 """Time without a frame after which a camera counts as disconnected; useful cameras deliver at least 5 Hz."""
+_LOOK_S: Final = 1.0
+"""Between two looks at how far unlocked settings have drifted."""
 
 
 class OpenCvCamera(ABC):
@@ -44,7 +47,9 @@ class OpenCvCamera(ABC):
         self._capture: Any = None
         self._start_ns = 0
         self._index = -1
-        self._problem = ""
+        self.refused: Sequence[str] = ()
+        self._drift = Drift()
+        self._look_ns = 0
         self._closing = threading.Event()
         # `release` frees OpenCV's buffers, so it must not run during a `read` on another thread.
         self._reading = threading.Lock()
@@ -52,8 +57,14 @@ class OpenCvCamera(ABC):
 
     @property
     def problem(self) -> str:
-        """Settings that the driver refused, for the status; empty when none."""
-        return self._problem
+        """Settings that the driver refused, and how far the picture has drifted since; empty when none."""
+        if not self.refused:
+            return ""
+        return (
+            f"camera {self._name}: its driver refused {', '.join(self.refused)}; in this session its brightness has "
+            f"drifted by {100 * self._drift.brightness:+.0f} %, its colours by {100 * self._drift.colour:.0f} % "
+            "(docs/use.md: what that costs)"
+        )
 
     def read(self) -> Frame | None:
         """Wait for the next frame; None after `close`, and at the end of a file.
@@ -81,6 +92,9 @@ class OpenCvCamera(ABC):
                 continue
             failed, begun_ns = 0, self._now_ns()
             if frame.t_first_row_ns >= self._start_ns:
+                if self.refused and frame.t_first_row_ns >= self._look_ns:
+                    self._drift.see(frame.image)
+                    self._look_ns = frame.t_first_row_ns + round(1e9 * _LOOK_S)
                 return frame
         return None
 
@@ -92,6 +106,16 @@ class OpenCvCamera(ABC):
             self._release()
             if capture is not None:
                 capture.release()
+
+    def _begin(self, start_ns: int) -> None:
+        """Begin a session."""
+        self._closing.clear()
+        self._start_ns, self._index, self.refused = start_ns, -1, ()
+        self._compare_anew()
+
+    def _compare_anew(self) -> None:
+        """Compare with the pictures from here on: the settings were changed on purpose."""
+        self._drift, self._look_ns = Drift(), 0
 
     def _device(self) -> int | str:
         device = self._camera.device

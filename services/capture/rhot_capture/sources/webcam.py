@@ -39,8 +39,8 @@ class WebcamSource(OpenCvCamera):
         Raises:
             DeviceError: no such camera, or it does not deliver the size in `rig.toml`.
         """
-        self._closing.clear()
-        self._start_ns, self._index, self._last_ns = start_ns, -1, None
+        self._begin(start_ns)
+        self._last_ns = None
         self._capture = self._cv.VideoCapture(self._device())
         if not self._capture.isOpened():
             self.close()
@@ -72,6 +72,7 @@ class WebcamSource(OpenCvCamera):
             if not self._set_exposure(self._capture, settings.exposure_s):
                 self._set_exposure(self._capture, camera.exposure_s)
                 raise ConfigError(f"camera {self._name}: its driver refuses exposure_s = {settings.exposure_s:g}")
+            self._compare_anew()
 
     def _ends(self) -> bool:
         return isinstance(self._device(), str)
@@ -99,10 +100,9 @@ class WebcamSource(OpenCvCamera):
         for what, control in (("white balance", cv.CAP_PROP_AUTO_WB), ("focus", cv.CAP_PROP_AUTOFOCUS)):
             if not capture.set(control, 0.0):
                 refused.append(f"manual {what}")
-        self._problem = ""
+        self.refused = refused
         if refused:
-            self._problem = f"camera {self._name}: not locked: {', '.join(refused)}; colours and times may drift"
-            logger.warning("%s", self._problem)
+            logger.warning("camera %s: its driver refused %s; colours may drift", self._name, ", ".join(refused))
 
     def _set_exposure(self, capture: Any, exposure_s: float) -> bool:
         """Set the exposure, which these drivers take as a power of two; return whether it was taken."""

@@ -236,9 +236,8 @@ class V4l2Source(OpenCvCamera):
             DeviceError: no such device, or it does not deliver the size in `rig.toml`.
         """
         os.environ.setdefault(*_SELECT_LIMIT)
-        self._closing.clear()
-        self._start_ns = start_ns
-        self._index, self._last, self._problem = -1, (None, None), ""
+        self._begin(start_ns)
+        self._last = None, None
         try:
             self._capture = self._cv.VideoCapture(self._device(), self._cv.CAP_V4L2)
             if not self._capture.isOpened():
@@ -279,6 +278,7 @@ class V4l2Source(OpenCvCamera):
                 controls.set_exposure(self._exposure_s)
             if refused:
                 raise ConfigError(f"camera {self._name}: the driver of {camera.device} refuses {', '.join(refused)}")
+            self._compare_anew()
             if changes_exposure:
                 self._asked_exposure_s = settings.exposure_s
                 self._exposure_s = controls.exposure_s(settings.exposure_s)
@@ -292,7 +292,10 @@ class V4l2Source(OpenCvCamera):
         camera, controls = self._camera, DriverControls(self._cv, self._capture)
         # The format comes first: size and rate depend on it. Raw YUYV at 60 Hz does not fit through USB 2.
         motion_jpeg = float(self._cv.VideoWriter_fourcc(*"MJPG"))
-        refused = controls.set("pixel format MJPG", "CAP_PROP_FOURCC", motion_jpeg)
+        refused = []
+        if controls.set("", "CAP_PROP_FOURCC", motion_jpeg):
+            got_format = max(0, int(controls.value("CAP_PROP_FOURCC"))).to_bytes(8, "little")[:4]
+            refused.append(f"pixel format MJPG (driver says {got_format.decode('ascii', 'replace')})")
         self._capture.set(self._cv.CAP_PROP_BUFFERSIZE, 2.0)
         for name, value in (("FRAME_WIDTH", camera.width), ("FRAME_HEIGHT", camera.height)):
             self._capture.set(getattr(self._cv, f"CAP_PROP_{name}"), float(value))
@@ -318,12 +321,12 @@ class V4l2Source(OpenCvCamera):
         self._picture = asked
         self._asked_exposure_s = camera.exposure_s
         self._exposure_s = controls.exposure_s(camera.exposure_s)
+        self.refused = refused
         if refused:
-            self._problem = (
-                f"camera {self._name}: the driver of {camera.device} refused {', '.join(refused)}; colours and times "
-                "may drift"
-            )
-            _LOG.warning("%s", self._problem)
+            _LOG.warning(
+                "camera %s: the driver of %s refused %s; colours and times may drift",
+                self._name, camera.device, ", ".join(refused),
+            )  # fmt: skip
         if left := controls.unset(camera):
             _LOG.warning(
                 "camera %s: V4L2 has no units for gain, white balance and focus, so %s; set what you want in "
