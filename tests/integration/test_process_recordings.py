@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from hand_messages import object_pose
 
+import rhot
 from rhot.anatomy.skeleton import FINGERS
 from rhot.errors import ConfigError
 from rhot.messages import ObjectPose, encode, encoding_of
@@ -184,3 +185,89 @@ def test_objects_recorded_beside_pictures_come_along(
     assert [pose["position"][0] for pose in poses] == pytest.approx([0.01 * number for number in range(len(poses))])
     assert len(poses) > 35
     assert [line["key"] for line in lines].index("rhot/object/cup") < 10, "in their order of time"
+
+
+# Messages tracked again.
+
+
+@pytest.fixture(scope="module")
+def session(rendered: tuple[Path, Path, list[dict[str, Any]]]) -> Path:
+    """What a live session of these cameras records: an MCAP file that carries its rig."""
+    rig_path, recording, _ = rendered
+    file = recording.parent / "session.mcap"
+    done = CliRunner().invoke(process, [str(recording), "--rig", str(rig_path), "--out", str(file)])
+    assert done.exit_code == 0, done.output
+    return file
+
+
+def without_seq(lines: list[dict[str, Any]], kind: str) -> list[Any]:
+    return [{**line["value"], "seq": 0} for line in lines if line["key"].startswith(kind)]
+
+
+@pytest.mark.xdist_group("rendered")
+@pytest.mark.parametrize("form", ["mcap", "jsonl"])
+def test_messages_tracked_again_give_the_live_result(
+    rendered: tuple[Path, Path, list[dict[str, Any]]], session: Path, tmp_path: Path, form: str
+) -> None:
+    rig_path, _, live = rendered
+    recorded = session
+    if form == "jsonl":
+        recorded = tmp_path / "live.jsonl"
+        recorded.write_text("".join(json.dumps(line) + "\n" for line in live))
+    again = lines_of(rig_path, recorded, tmp_path / "again.jsonl")
+    for kind in ("rhot/points", "rhot/hand/"):
+        assert without_seq(again, kind) == without_seq(live, kind)
+
+
+@pytest.mark.xdist_group("rendered")
+def test_messages_looked_back_at_are_as_good_as_pictures(
+    rendered: tuple[Path, Path, list[dict[str, Any]]], session: Path, tmp_path: Path
+) -> None:
+    rig_path, recording, _ = rendered
+    pictures = lines_of(rig_path, recording, tmp_path / "pictures.jsonl", "--smooth")
+    messages = lines_of(rig_path, session, tmp_path / "messages.jsonl", "--smooth")
+    assert without_seq(messages, "rhot/hand/") == without_seq(pictures, "rhot/hand/")
+
+
+@pytest.mark.xdist_group("rendered")
+def test_a_take_is_tracked_by_its_own_rig(session: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No rig is named, and none is here."""
+    monkeypatch.chdir(tmp_path)
+    live = rhot.load(session)
+    again = rhot.track(None, session)
+    hand = again.hands["right"]
+    np.testing.assert_array_equal(hand.positions, live.hands["right"].positions)
+    assert np.isfinite(hand.sigma).all()
+    assert again.rig is not None
+    assert again.markers["left"].uv.shape == live.markers["left"].uv.shape
+    smooth = rhot.track(None, str(session), smooth=True)
+    assert len(smooth.hands["right"]) >= len(hand)
+
+
+@pytest.mark.xdist_group("rendered")
+def test_several_recordings_go_into_a_folder_one_on_each_core(session: Path, tmp_path: Path) -> None:
+    second = tmp_path / "second.mcap"
+    second.write_bytes(session.read_bytes())
+    out = tmp_path / "out"
+    done = CliRunner().invoke(process, [str(session), str(second), "--out", str(out), "--jobs", "2"])
+    assert done.exit_code == 0, done.output
+    takes = [rhot.load(out / name) for name in ("session.mcap", "second.mcap")]
+    live = rhot.load(session).hands["right"]
+    for take in takes:
+        np.testing.assert_array_equal(take.hands["right"].positions, live.positions)
+    clash = CliRunner().invoke(process, [str(session), str(session), "--out", str(out)])
+    assert "would be written twice" in str(clash.exception)
+    itself = CliRunner().invoke(process, [str(second), "--out", str(second)])
+    assert "is the recording itself" in str(itself.exception)
+
+
+def test_messages_without_marker_frames_say_so(tmp_path: Path) -> None:
+    file = tmp_path / "objects.mcap"
+    with McapWriter(file, now_ns=0) as writer:
+        pose = object_pose(START_NS, 0.1)
+        writer.write("rhot/object/cup", encoding_of(ObjectPose), encode(pose), pose.t_ns, 0, pose.t_ns)
+    with pytest.raises(ConfigError, match="carries no rig; name the one that it was recorded with"):
+        CliRunner().invoke(process, [str(file), "--out", str(tmp_path / "x.mcap")], catch_exceptions=False)
+    write_simulated_rig(tmp_path / "rig", calibrated=False)
+    with pytest.raises(ConfigError, match="holds no marker frames"):
+        lines_of(tmp_path / "rig", file, tmp_path / "x.jsonl")

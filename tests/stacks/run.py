@@ -58,6 +58,7 @@ STACKS = (
     Stack("realsense", "RealSense SDK (pyrealsense2), its recorder and playback", ["test_realsense.py"], marker=""),
     Stack("openvr", "OpenVR's client library, a runtime of the test", ["test_openvr.py"], {"cc": "gcc"}, marker=""),
     Stack("v4l2", "Linux 6.12: vivid, v4l2loopback", ["test_v4l2.py"], _GUEST, guest=True),
+    Stack("evening", "Linux 6.12: v4l2loopback, docs/evening.md", ["test_evening.py"], _GUEST, guest=True),
     Stack("serial", "Linux 6.12: USB gadget over dummy_hcd", ["test_serial.py"], _GUEST, guest=True),
     Stack("picamera2", "picamera2 on libcamera 0.4, vimc", ["test_picamera2.py"], _GUEST, guest=True),
     Stack(
@@ -83,9 +84,15 @@ STACKS = (
     Stack("installer", "Debian with systemd, booted in namespaces", ["../deploy/test_fresh_root.py"], marker="faults"),
     Stack(
         "readers",
-        "Blender, OpenSim, vmcp",
+        "Blender, OpenSim, vmcp, Isaac Teleop",
         ["../tools/export/test_installed_readers.py"],
         made=("an environment of readers", "readers/.ready"),
+    ),
+    Stack(
+        "robots",
+        "dex-retargeting on Pinocchio: robot hands",
+        ["test_robots.py"],
+        made=("an environment of robots", "robots/.ready"),
     ),
 )
 

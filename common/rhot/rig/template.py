@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import tomlkit
@@ -41,9 +42,7 @@ _CAMERA: Final = """
 [cameras.{name}]
 # picamera2 (a Pi's own), v4l2 (USB), webcam (USB on Windows, macOS), images (a folder), video (a file) or simulated.
 source = "{source}"
-# Which one, where a machine has several: 0, 1, … of a Pi; of USB cameras the name that stays after unplugging, as
-# `ls /dev/v4l/by-id` lists it: "/dev/v4l/by-id/usb-…-video-index0".
-# device = 0
+{device}
 width = {width}
 height = {height}
 rate_hz = {rate_hz:g}
@@ -62,6 +61,21 @@ readout_s = {readout_s:g}
 # along +z, x points right and y down in the picture; the first camera is the origin.
 fov_deg = 62.2
 position_m = [{x:g}, 0.0, 0.0]
+{controls}"""
+
+_ANY_DEVICE: Final = """\
+# Which one, where a machine has several: 0, 1, … of a Pi; of USB cameras the name that stays after unplugging, as
+# `ls /dev/v4l/by-id` lists it: "/dev/v4l/by-id/usb-…-video-index0".
+# device = 0"""
+
+_FOUND_DEVICE: Final = """\
+# {label}. {locks}
+device = {device}"""
+
+_CONTROLS: Final = """
+# Where this camera's automatic settings came to rest, in its driver's units (v4l2-ctl --list-ctrls).
+[cameras.{name}.v4l2_controls]
+{values}
 """
 
 _MARKERS: Final = """
@@ -129,6 +143,27 @@ seed = {seed}
 # motion = "script"
 """
 
+
+@dataclass(frozen=True, slots=True)
+class FoundCamera:
+    """A USB camera as `rhot init --webcams` found it.
+
+    Attributes:
+        source, device: as in `rig.toml`.
+        label: the driver's name for people.
+        rate_hz: frames a second that it delivers.
+        controls: `v4l2_controls`.
+        unlocked: what its driver does not lock, as text; empty if nothing.
+    """
+
+    source: str
+    device: str
+    label: str
+    rate_hz: float
+    controls: Mapping[str, int]
+    unlocked: str
+
+
 FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
 _PAINT_SHIFT: Final = 2
 """How many fingers further the second hand wears a paint: neither the same finger nor its neighbour, which hands that
@@ -152,6 +187,7 @@ def rig_template(
     share_paints: bool = True,
     simulated_objects: Sequence[str] = (),
     seed: int | None = None,
+    found: Sequence[FoundCamera] = (),
 ) -> str:
     """Return the text of a `rig.toml`.
 
@@ -166,6 +202,7 @@ def rig_template(
         length_m: of the hand.
         simulated_objects: names of simulated objects; without any, an example of a real one stands as comment.
         seed: of the simulated world; None for a real rig.
+        found: what the cameras are, in their order; without them they are of the kind `source`.
     """
     parts = [
         _HEAD.format(
@@ -176,19 +213,12 @@ def rig_template(
             length_m=length_m,
         )
     ]
-    parts += [
-        _CAMERA.format(
-            name=camera,
-            source=source,
-            width=640,
-            height=480,
-            rate_hz=rate_hz,
-            exposure_s=exposure_s,
-            readout_s=readout_s,
-            x=x,
-        )
-        for camera, x in zip(cameras, camera_xs_m, strict=True)
-    ]
+    same = {"width": 640, "height": 480, "exposure_s": exposure_s, "readout_s": readout_s}
+    for index, (camera, x) in enumerate(zip(cameras, camera_xs_m, strict=True)):
+        own: dict[str, object] = {"source": source, "rate_hz": rate_hz, "device": _ANY_DEVICE, "controls": ""}
+        if found:
+            own = _as_found(camera, found[index])
+        parts.append(_CAMERA.format(name=camera, x=x, **same, **own))
     parts.append(_MARKERS)
     for number, side in enumerate(sides):
         prefix, shared = "" if number == 0 else f"{side}_", number > 0 and share_paints
@@ -204,6 +234,15 @@ def rig_template(
     if seed is not None:
         parts.append(_SIM.format(seed=seed))
     return "".join(parts)
+
+
+def _as_found(name: str, camera: FoundCamera) -> dict[str, object]:
+    locks = f"Not locked: {camera.unlocked}." if camera.unlocked else "Its driver locks everything."
+    label, locks = (printable(text).replace("\n", " ") for text in (camera.label, locks))
+    device = _FOUND_DEVICE.format(label=label, locks=locks, device=_string(camera.device))
+    values = "\n".join(f"{key} = {value}" for key, value in camera.controls.items())
+    controls = _CONTROLS.format(name=name, values=values) if values else ""
+    return {"source": camera.source, "rate_hz": camera.rate_hz, "device": device, "controls": controls}
 
 
 def _string(text: str) -> str:

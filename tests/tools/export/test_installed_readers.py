@@ -12,15 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 from bridged import poses as bridge_poses
-from bridged.poses import POSES, hand
+from bridged.poses import POSES, angles, hand
 from bridged.readers import messages
 from click.testing import CliRunner
 from exported import person
 
-from rhot.anatomy.skeleton import JOINTS
+from rhot.anatomy.skeleton import HAND_ANGLE_NAMES, JOINTS
+from rhot.geometry.rotations import rotation_from_quaternion
+from rhot.recording.messages import RecordedMessages
 from rhot_bridge.axes import Converter
 from rhot_bridge.targets.vmc import VmcTarget
-from rhot_tools.recordings.export import export
+from rhot_tools.export.poses import motions
+from rhot_tools.recordings.export import export, stage_of
 
 pytestmark = pytest.mark.stacks
 
@@ -87,8 +90,52 @@ def test_opensim_reads_markers_and_angles(poses_recording: Path, tmp_path: Path)
     markers = read("osim.py", str(tmp_path / "x.trc"), "10", package="opensim")["values"]
     truth = hand("flat", "left").positions[JOINTS.index("index_tip")]
     np.testing.assert_allclose(markers["hand_left_index_tip"], truth, atol=2e-6)
-    angles = read("osim.py", str(tmp_path / "x.mot"), "10", package="opensim")["values"]
-    assert angles["knee_angle_r"] == pytest.approx(np.degrees(person.KNEE_RAD), abs=1e-5)
+    found = read("osim.py", str(tmp_path / "x.mot"), "10", package="opensim")["values"]
+    assert found["knee_angle_r"] == pytest.approx(np.degrees(person.KNEE_RAD), abs=1e-5)
+
+
+@pytest.mark.parametrize(("pose", "at_s"), MIDDLES)
+def test_opensim_finds_the_angles_of_hands_from_their_markers(
+    poses_recording: Path, tmp_path: Path, pose: str, at_s: float
+) -> None:
+    model, trc = tmp_path / "x.osim", tmp_path / "x.trc"
+    written(poses_recording, "--trc", str(trc), "--osim", str(model))
+    times = (f"{at_s - 0.05:.3f}", f"{at_s + 0.05:.3f}")
+    found = read("osim_ik.py", str(model), str(trc), str(tmp_path / "x.mot"), *times, package="opensim")
+    assert found["worst_m"] < 1e-5
+    truth_deg = np.degrees(angles(pose))
+    for side in ("left", "right"):
+        for name, wanted in zip(HAND_ANGLE_NAMES, truth_deg.ravel(), strict=True):
+            np.testing.assert_allclose(found["degrees"][f"hand_{side}_{name}"], wanted, atol=0.02, err_msg=name)
+
+
+def test_isaac_teleop_replays_both_hands_joint_by_joint(poses_recording: Path, tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    written(poses_recording, "--isaac", str(file))
+    messages_of = RecordedMessages(poses_recording)
+    T_stage_rig = stage_of(messages_of, None)
+    assert T_stage_rig is not None
+    truth = {name: motion.moved(T_stage_rig) for name, motion in motions(messages_of).items()}
+    count = len(truth["hand_right"].t_ns)
+    found = read("isaac.py", str(file), str(count), package="isaacteleop")
+    for side in ("left", "right"):
+        motion, played = truth[f"hand_{side}"], np.array(found[side])
+        np.testing.assert_allclose(played[..., :3], motion.positions, atol=1e-6)
+        np.testing.assert_allclose(rotation_from_quaternion(played[..., 3:7]), motion.rotations, atol=1e-6)
+        np.testing.assert_allclose(played[..., 7], np.broadcast_to(motion.radii_m, played.shape[:2]), atol=1e-6)
+        assert (played[..., 8] == 1.0).all()
+
+
+def test_the_validator_of_bids_finds_no_error(poses_recording: Path, tmp_path: Path) -> None:
+    validator = PYTHON.with_name("bids-validator-deno")
+    if not validator.exists():
+        pytest.skip("no validator of BIDS: `make stacks` installs it")
+    for name in ("sub-01_task-pose", "sub-02_ses-a_task-pose_run-1"):
+        written(poses_recording, "--bids", str(tmp_path / "dataset"), "--bids-name", name)
+    command = [str(validator), str(tmp_path / "dataset"), "--format", "json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    issues = json.loads(done.stdout)["issues"]["issues"]
+    assert [issue for issue in issues if issue["severity"] == "error"] == []
 
 
 def test_a_receiver_of_vmc_gets_every_bone(free_port: int) -> None:

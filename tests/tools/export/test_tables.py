@@ -18,8 +18,8 @@ from rhot.anatomy.skeleton import JOINTS
 from rhot.errors import ConfigError
 from rhot.messages import Control, HandPose, Message, Point, PointSet, encode, encoding_of
 from rhot.recording.mcap.writer import McapWriter
+from rhot.recording.messages import RecordedMessages
 from rhot_tools.export.columns import row_of, tables
-from rhot_tools.export.source import RecordedMessages
 from rhot_tools.export.table_files import write_csv
 from rhot_tools.recordings.export import export
 

@@ -17,11 +17,11 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, Message, ServiceStatus, encode, encoding_of
+from rhot.recording.attached import unpack_rig
 from rhot.recording.camera_picture import CameraPicture
 from rhot.recording.mcap.writer import McapWriter, rig_files
 from rhot.recording.picture_folder import PictureFolder
 from rhot.rig import load_rig
-from rhot_tools.recordings.beside import unpack_rig
 from rhot_tools.recordings.export import export
 
 T_NS = 1_700_000_000_123_456_789

@@ -18,12 +18,13 @@ from rhot.messages import HandPose, PointSet, ServiceStatus
 from rhot.offline import core, marker_frames, rig_timing, track_with
 from rhot.plugins import load_plugin
 from rhot.recording import PictureTrack, Recording, VideoTrack, load_recording
+from rhot.recording.attached import attached_rig
 from rhot.recording.mcap.reader import open_mcap
 from rhot.rig import Rig, load_rig
 from rhot.rig.folder import write_text_atomic
 from rhot_tools.explain.moment import Moment, Trace, difference_m, moment_of_folder, moment_of_mcap, trace_of
 from rhot_tools.explain.page import explanation_page
-from rhot_tools.recordings.beside import attached_rig, newest, pictures_beside
+from rhot_tools.recordings.beside import newest, pictures_beside
 
 # The first tables of an explanation: summary of the markers, messages published by the rig, its services.
 

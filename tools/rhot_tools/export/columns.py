@@ -7,14 +7,11 @@ from array import array
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.anatomy.skeleton import FINGER_ANGLES, FINGERS, JOINTS, angle_name
 from rhot.messages import BodyPose, FootPose, HandPose, MarkerFrame, Message, ObjectPose, PointSet
 
 Value = float | int | str
 
-_ANGLES: Final = ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
-_THUMB: Final = dict(zip(_ANGLES, ("cmc_flexion", "cmc_abduction", "mcp_flexion", "ip_flexion"), strict=True))
-"""The thumb's joints by their anatomical names: its chain begins one joint earlier and ends in a single IP joint."""
 _COVARIANCES: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
@@ -90,14 +87,6 @@ def row_of(message: Message) -> dict[str, Value] | None:
     return row
 
 
-def angle_name(part: str, angle: str) -> str:
-    """Return the column of a joint angle, such as `index_mcp_flexion`, `thumb_cmc_flexion` and `left_knee_flexion`.
-
-    Messages give every finger the same four names; in files the thumb's are those of its own joints.
-    """
-    return f"{part}_{_THUMB[angle] if part == 'thumb' else angle}"
-
-
 def _hand(hand: HandPose) -> dict[str, Value]:
     row: dict[str, Value] = {"state": hand.state}
     for name in JOINTS:
@@ -107,10 +96,12 @@ def _hand(hand: HandPose) -> dict[str, Value]:
         else:
             row |= _pose(f"{name}_", joint.position, joint.orientation)
         row[f"{name}_radius"] = math.nan if joint is None else joint.radius
+        row[f"{name}_sigma"] = hand.sigma.get(name, math.nan)
     for finger in FINGERS:
-        angles = hand.angles.get(finger)
-        for angle in _ANGLES:
+        angles, sigmas = hand.angles.get(finger), hand.angle_sigma.get(finger)
+        for angle in FINGER_ANGLES:
             row[angle_name(finger, angle)] = math.nan if angles is None else getattr(angles, angle)
+            row[f"{angle_name(finger, angle)}_sigma"] = math.nan if sigmas is None else getattr(sigmas, angle)
         row[f"{finger}_residual"] = hand.residual.get(finger, math.nan)
         row[f"{finger}_state"] = hand.fingers.get(finger, "")
     return row

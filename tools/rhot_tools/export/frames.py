@@ -6,7 +6,6 @@ as `MAX_GAP_S`; where there is none, the frame holds nothing (NaN).
 
 from __future__ import annotations
 
-import importlib
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,8 @@ from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
 from rhot.atomic_file import replacing
-from rhot.errors import ConfigError
+from rhot.messages import Event
+from rhot.plugins import load_library
 from rhot_tools.export.poses import ExportedMotion, frame_times_s
 
 # C3D (biomechanics, c3d.org), for Mokka, Visual3D, MATLAB and others: markers in millimetres at a steady rate.
@@ -46,19 +46,18 @@ def write_c3d(file: Path, frames: Frames, *, y_up: bool) -> list[Path]:
     Raises:
         ConfigError: ezc3d is not installed, or the file cannot be written.
     """
-    try:
-        ezc3d = importlib.import_module("ezc3d")
-    except ModuleNotFoundError as error:
-        raise ConfigError("--c3d needs the Python module ezc3d; pip install 'rhot[c3d]'") from error
+    ezc3d = load_library("ezc3d", "--c3d", "c3d")
     starts = range(0, len(frames.t_s), MOST_FRAMES)
     files = [file] if len(starts) == 1 else [file.with_stem(f"{file.stem}-{k:03d}") for k in range(1, len(starts) + 1)]
     for part, start in zip(files, starts, strict=True):
-        _write(ezc3d, part, frames, frames.positions[start : start + MOST_FRAMES], y_up)
+        made = _made(ezc3d, frames, frames.positions[start : start + MOST_FRAMES], y_up)
+        _add_events(made, frames, start / frames.rate_hz, MOST_FRAMES / frames.rate_hz)
+        _write(made, part)
     return files
 
 
-def _write(ezc3d: Any, file: Path, frames: Frames, metres: FloatArray, y_up: bool) -> None:
-    """Write one file of positions (F, M, 3), metres."""
+def _made(ezc3d: Any, frames: Frames, metres: FloatArray, y_up: bool) -> Any:
+    """Return a file of positions (F, M, 3), metres."""
     positions = MM_PER_M * np.moveaxis(metres, 0, -1)
     absent: NDArray[np.bool_] = np.asarray(np.isnan(positions).any(axis=1))
     positions = np.where(absent[:, None], 0.0, positions)
@@ -75,6 +74,22 @@ def _write(ezc3d: Any, file: Path, frames: Frames, metres: FloatArray, y_up: boo
     made["data"]["points"] = np.concatenate([positions.transpose(1, 0, 2), ones])
     made["data"]["meta_points"]["residuals"] = np.where(absent, -1.0, 0.0)[None]
     made["data"]["meta_points"]["camera_masks"] = np.zeros((7, *absent.shape), dtype=bool)
+    return made
+
+
+def _add_events(made: Any, frames: Frames, begin_s: float, length_s: float) -> None:
+    """Add the marked moments of a part as C3D's group EVENT: minutes and seconds from the part's first frame."""
+    found = [(t_s - begin_s, label) for t_s, label in frames.events if 0.0 <= t_s - begin_s < length_s]
+    if found:
+        made.add_parameter("EVENT", "USED", [len(found)])
+        made.add_parameter("EVENT", "CONTEXTS", ["General"] * len(found))
+        made.add_parameter("EVENT", "LABELS", [label for _, label in found])
+        made.add_parameter("EVENT", "DESCRIPTIONS", [""] * len(found))
+        minutes = [float(t_s // 60.0) for t_s, _ in found]
+        made.add_parameter("EVENT", "TIMES", np.array([minutes, [t_s % 60.0 for t_s, _ in found]]))
+
+
+def _write(made: Any, file: Path) -> None:
     with replacing(file) as part, tempfile.TemporaryDirectory(dir=file.parent, prefix=".rhot-c3d-") as folder:
         # ezc3d appends the suffix to any other name.
         whole = Path(folder) / "whole.c3d"
@@ -186,6 +201,7 @@ class Frames:
         markers: (M,) names.
         positions: (F, M, 3) metres; NaN where there is none.
         angles: by name, (F,) radians; NaN where there is none.
+        events: seconds and label of marked moments.
     """
 
     rate_hz: float
@@ -193,14 +209,16 @@ class Frames:
     markers: tuple[str, ...]
     positions: FloatArray
     angles: Mapping[str, FloatArray]
+    events: Sequence[tuple[float, str]] = ()
 
 
-def frames_of(motions: Sequence[ExportedMotion], rate_hz: float | None = None) -> Frames:
+def frames_of(motions: Sequence[ExportedMotion], rate_hz: float | None = None, events: Sequence[Event] = ()) -> Frames:
     """Read motions at common moments.
 
     Args:
         motions: at least one.
         rate_hz: frames per second; None = the real rate of the fastest motion, see `real_rate_hz`.
+        events: marked moments.
 
     Raises:
         ConfigError: see `frame_times_s`.
@@ -217,9 +235,10 @@ def frames_of(motions: Sequence[ExportedMotion], rate_hz: float | None = None) -
         marked, positions = _markers(motion)
         names += marked
         columns.append(_read(at_s, positions.reshape(len(at_s), -1), t_s).reshape(len(t_s), -1, 3))
-        angled = {**motion.angles, **(wrist_angles(motion) if motion.name.startswith("hand_") else {})}
+        angled = {**motion.angles, **(wrist_angles(motion) if motion.is_hand else {})}
         angles |= {f"{motion.name}_{name}": _read(at_s, v[:, None], t_s)[:, 0] for name, v in angled.items()}
-    return Frames(rate, t_s, tuple(names), np.concatenate(columns, axis=1), angles)
+    marked_s = [((event.t_ns - origin_ns) / 1e9, event.label) for event in events]
+    return Frames(rate, t_s, tuple(names), np.concatenate(columns, axis=1), angles, marked_s)
 
 
 def wrist_angles(motion: ExportedMotion) -> dict[str, FloatArray]:

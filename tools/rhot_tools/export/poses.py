@@ -9,14 +9,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS, PARENTS
+from rhot.anatomy.skeleton import BODY_PARENTS, JOINTS, PARENTS, angle_name
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import BodyPose, FootPose, HandPose, Message, ObjectPose, Side
 from rhot.messages.base import Pose
 from rhot.messages.tracked import ObjectShape
-from rhot_tools.export.columns import angle_name
 
 HAND_PARENTS: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)
 """(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""
@@ -63,6 +62,11 @@ class ExportedMotion:
     def is_rigid(self) -> bool:
         """Whether there is one joint alone."""
         return len(self.joints) == 1
+
+    @property
+    def is_hand(self) -> bool:
+        """Whether it is a hand."""
+        return self.name.startswith("hand_")
 
     def moved(self, T_to_from: FloatArray) -> ExportedMotion:
         """Return the motion in another frame, T_to_from (4, 4), metres."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,12 +10,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhot.anatomy.skeleton import PARENTS
+from rhot.anatomy.skeleton import PARENTS, angle_name
 from rhot.atomic_file import replacing
 from rhot.errors import ConfigError
 from rhot.messages import HandPose, MarkerFrame, Message, ObjectPose, PointSet
+from rhot.plugins import load_library
 from rhot.rig import CameraCalibration
-from rhot_tools.export.columns import angle_name
 from rhot_tools.recordings.beside import StoredPicture
 
 TIMELINE: Final = "rig_time"
@@ -37,10 +36,7 @@ def write_rerun(
     Raises:
         ConfigError: rerun is not installed, or the file cannot be written.
     """
-    try:
-        rerun: Any = importlib.import_module("rerun")
-    except ModuleNotFoundError as error:
-        raise ConfigError("--rerun needs the Python module rerun; pip install 'rhot[rerun]'") from error
+    rerun = load_library("rerun", "--rerun", "rerun")
     if not file.parent.is_dir():
         raise ConfigError(f"{file}: the folder {file.parent} does not exist")
     with replacing(file) as part:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from rhot.atomic_file import replacing, why
 from rhot.errors import ConfigError
+from rhot.plugins import load_library
 from rhot_tools.export.columns import Table
 
 
@@ -42,10 +42,7 @@ def write_parquet(folder: Path, tables: Sequence[Table]) -> list[Path]:
     Raises:
         ConfigError: pyarrow is not installed, or the folder cannot be written.
     """
-    try:
-        arrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
-    except ModuleNotFoundError as error:
-        raise ConfigError("--parquet needs the Python module pyarrow; pip install 'rhot[parquet]'") from error
+    arrow, parquet = (load_library(name, "--parquet", "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     origin_ns = _origin_ns(tables)
     files = []
     for table in tables:

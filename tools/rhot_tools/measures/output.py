@@ -28,11 +28,12 @@ def html_report(title: str, about: str, sections: Sequence[Section], plots: Sequ
         sections: tables.
         plots: SVG elements.
     """
-    tables = "".join(_table(section) for section in sections)
+    tables = "".join(html_table(section) for section in sections)
     return html_page(title, about, f"{''.join(plots)}{tables}")
 
 
-def _table(section: Section) -> str:
+def html_table(section: Section) -> str:
+    """Return a table of figures as HTML."""
     head = "<tr><th>figure</th><th>value</th><th>target</th><th></th><th>beside it</th></tr>"
     return f"<h2>{escape(section.title)}</h2><table>{head}{''.join(map(_row, section.rows))}</table>"
 

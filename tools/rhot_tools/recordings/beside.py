@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import glob
 import re
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeVar
@@ -14,11 +11,9 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rhot.errors import ConfigError, RhotError
+from rhot.errors import ConfigError
 from rhot.recording.folder import load_recording
-from rhot.recording.mcap.writer import RIG_PREFIX
 from rhot.recording.model import MarkerTrack, PictureTrack, Recording, VideoTrack
-from rhot.rig.folder import Rig, load_rig
 
 # A part of a recording folder, by time.
 
@@ -78,7 +73,6 @@ def _part(track: Track, rows: NDArray[np.intp]) -> Track:
 # What belongs to a recording of messages: the pictures beside it, the rig folder inside it.
 
 _PART: Final = re.compile(r"-\d{3}$")
-_RIG_NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +105,6 @@ def pictures_beside(file: Path) -> Recording | None:
     return None
 
 
-def messages_beside(folder: Path) -> list[Path]:
-    """Return the MCAP files, in order, that `rhot record --frames` wrote beside a folder of pictures."""
-    whole = folder.with_name(f"{folder.name}.mcap")
-    parts = sorted(folder.parent.glob(f"{glob.escape(folder.name)}-[0-9][0-9][0-9].mcap"))
-    return [whole] if whole.is_file() else [part for part in parts if part.is_file()]
-
-
 def stored_pictures(recording: Recording) -> Iterator[StoredPicture]:
     """Yield the pictures with times of a recording, camera by camera."""
     for name, track in recording.cameras.items():
@@ -125,49 +112,3 @@ def stored_pictures(recording: Recording) -> Iterator[StoredPicture]:
             mid_ns = round(5e8 * (track.timing.exposure_s + track.timing.readout_s))
             for picture, frame, t_ns in zip(track.files, track.frames.tolist(), track.t_ns.tolist(), strict=True):
                 yield StoredPicture(name, frame, t_ns + mid_ns, picture)
-
-
-@contextlib.contextmanager
-def attached_rig(attachments: Mapping[str, bytes], recording: Path) -> Iterator[Rig]:
-    """Load the rig that a recording has attached, into a folder that is there during the block.
-
-    Args:
-        attachments: of the recording.
-        recording: for messages.
-
-    Raises:
-        ConfigError, CalibrationError: nothing is attached, or a file of it is not valid; names the file inside.
-    """
-    with tempfile.TemporaryDirectory(prefix="rhot-rig-") as folder:
-        path = unpack_rig(attachments, Path(folder), recording)
-        try:
-            rig = load_rig(path)
-        except RhotError as error:
-            raise type(error)(str(error).replace(str(path), f"{recording}: its rig")) from error
-        yield rig
-
-
-def unpack_rig(attachments: Mapping[str, bytes], folder: Path, recording: Path) -> Path:
-    """Write the rig folder that a recording has attached and return its path.
-
-    Args:
-        attachments: of the recording.
-        folder: to write it into.
-        recording: for messages.
-
-    Raises:
-        ConfigError: nothing is attached, or it cannot be written.
-    """
-    found = {name.removeprefix(RIG_PREFIX): data for name, data in attachments.items() if name.startswith(RIG_PREFIX)}
-    if not found:
-        raise ConfigError(f"{recording}: no rig folder is attached; name the rig with --rig")
-    path = folder / "rig"
-    try:
-        path.mkdir()
-        for name, data in found.items():
-            # A recording may come from anybody: nothing is written outside the folder.
-            if _RIG_NAME.fullmatch(name) and name.strip("."):
-                (path / name).write_bytes(data)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from error
-    return path

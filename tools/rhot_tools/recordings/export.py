@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -16,19 +18,34 @@ from rhot.atomic_file import replacing
 from rhot.cli.options import FiniteRange
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import inverse
-from rhot.messages import Message, Side, Space
+from rhot.messages import Event, Message, Side, Space
+from rhot.plugins import load_library
+from rhot.recording.attached import rig_of
+from rhot.recording.messages import RecordedMessages, joined_parts
 from rhot.rig import CameraCalibration, Rig, load_rig
 from rhot.rig.folder import write_text_atomic
+from rhot.take import Take
+from rhot.take.reading import load
+from rhot_tools.export.archives import write_bids, write_mat, write_netcdf, write_nwb
 from rhot_tools.export.bvh import RIG_TO_FILE, STAGE_TO_FILE, bvh_text
 from rhot_tools.export.columns import tables
-from rhot_tools.export.frames import MOST_FRAMES, coordinates_deg, frames_of, mot_text, trc_text, write_c3d
+from rhot_tools.export.frames import (
+    MOST_FRAMES,
+    coordinates_deg,
+    frames_of,
+    mot_text,
+    real_rate_hz,
+    trc_text,
+    write_c3d,
+)
 from rhot_tools.export.gltf import gltf_document
+from rhot_tools.export.isaac import write_isaac
+from rhot_tools.export.osim import osim_text
 from rhot_tools.export.poses import ExportedMotion, motions
 from rhot_tools.export.rerun_file import write_rerun
 from rhot_tools.export.skeleton_motion import skeleton_motion
-from rhot_tools.export.source import RecordedMessages, joined_parts
 from rhot_tools.export.table_files import write_csv, write_parquet
-from rhot_tools.recordings.beside import StoredPicture, attached_rig, pictures_beside, stored_pictures
+from rhot_tools.recordings.beside import StoredPicture, pictures_beside, stored_pictures
 from rhot_tools.trial.verdict import judged_recording
 
 # Which frame an export stands in: the stage (y up, origin on the floor) where it is known, else the rig's own.
@@ -53,7 +70,7 @@ def stage_of(messages: Iterable[tuple[str, Message]], rig: Rig | None) -> FloatA
     return None
 
 
-# The files of `rhot export` that hold motion: BVH, TRC, MOT, C3D and glTF, in the stage where the floor is known.
+# The files of `rhot export` that hold motion, in the stage where the floor is known.
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +78,7 @@ class MotionTargets:
     """What to write; None = not asked for.
 
     Attributes:
-        bvh, trc, mot, c3d, gltf: files.
+        bvh, trc, mot, osim, c3d, gltf, isaac: files.
         bvh_name: which motion goes into the BVH file, such as `hand_left` or `body`.
         rate_hz: frames per second; None = as recorded.
     """
@@ -69,31 +86,43 @@ class MotionTargets:
     bvh: Path | None
     trc: Path | None
     mot: Path | None
+    osim: Path | None
     c3d: Path | None
     gltf: Path | None
+    isaac: Path | None
     bvh_name: str | None
     rate_hz: float | None
 
     @property
     def any(self) -> bool:
         """Whether there is something to write."""
-        return any(file is not None for file in (self.bvh, self.trc, self.mot, self.c3d, self.gltf))
+        files = (self.bvh, self.trc, self.mot, self.osim, self.c3d, self.gltf, self.isaac)
+        return any(file is not None for file in files)
 
 
-def write_motion_files(targets: MotionTargets, found: dict[str, ExportedMotion], *, in_stage: bool) -> None:
+def write_motion_files(
+    targets: MotionTargets, found: dict[str, ExportedMotion], *, in_stage: bool, events: Sequence[Event] = ()
+) -> None:
     """Write motions and say what was written.
 
     Args:
         targets: what to write.
         found: the motions by name, in the stage or in the rig frame.
         in_stage: which of the two.
+        events: marked moments.
 
     Raises:
         ConfigError: there is nothing to write, or a file cannot be written.
     """
     if targets.bvh is not None:
         _write_bvh(targets.bvh, _chosen(found, targets.bvh_name), targets.rate_hz, in_stage=in_stage)
+    if targets.isaac is not None:
+        count = write_isaac(targets.isaac, found)
+        click.echo(f"{targets.isaac}: {count} poses, metres")
     every = [motion for _, motion in sorted(found.items())]
+    if targets.osim is not None:
+        write_text_atomic(targets.osim, osim_text(every))
+        click.echo(f"{targets.osim}: OpenSim model of {', '.join(each.name for each in every if each.is_hand)}, metres")
     lab = (targets.trc, targets.mot, targets.c3d, targets.gltf)
     if any(file is not None for file in lab) and not every:
         raise ConfigError("the recording holds no hand, body, foot, object or head to export")
@@ -104,7 +133,7 @@ def write_motion_files(targets: MotionTargets, found: dict[str, ExportedMotion],
         click.echo(f"{targets.gltf}: {', '.join(motion.name for motion in every)}, metres")
     if not any(file is not None for file in lab[:3]):
         return
-    frames = frames_of(every, targets.rate_hz)
+    frames = frames_of(every, targets.rate_hz, events)
     told = f"{len(frames.t_s)} frames at {frames.rate_hz:.3f} Hz"
     if targets.trc is not None:
         write_text_atomic(targets.trc, trc_text(frames, targets.trc.name))
@@ -127,7 +156,7 @@ def _chosen(found: dict[str, ExportedMotion], name: str | None) -> ExportedMotio
         if name not in found:
             raise ConfigError(f"the recording holds no complete pose of {name}; there is {names}")
         return found[name]
-    hands = [each for each in found if each.startswith("hand_")]
+    hands = [each for each, motion in found.items() if motion.is_hand]
     if len(hands) > 1:
         raise ConfigError("the recording holds both hands; choose one with --hand left or --hand right")
     if hands:
@@ -160,15 +189,6 @@ def _write_bvh(file: Path, motion: ExportedMotion, rate_hz: float | None, *, in_
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-def _attached_rig(parts: Sequence[RecordedMessages]) -> Rig | None:
-    """Return the rig that a recording has attached; None where it has none."""
-    for part in parts:
-        if part.attachments:
-            with attached_rig(part.attachments, part.path) as rig:
-                return rig
-    return None
-
-
 def _write_tables(parts: Sequence[RecordedMessages], csv_folder: Path | None, parquet_folder: Path | None) -> None:
     made = tables(chain.from_iterable(parts))
     if not made:
@@ -180,6 +200,39 @@ def _write_tables(parts: Sequence[RecordedMessages], csv_folder: Path | None, pa
         click.echo(f"{path}: {rows[path.stem]} rows")
 
 
+def _write_archives(
+    files: Sequence[Path],
+    rig: Rig | None,
+    nwb: Path | None,
+    bids: Path | None,
+    bids_name: str | None,
+    mat: Path | None,
+    netcdf: Path | None,
+    rate_hz: float | None,
+) -> None:
+    take = load(*files)
+    if "stage" not in take.spaces and rig is not None and rig.stage is not None:
+        take = dataclasses.replace(take, spaces={**take.spaces, "stage": np.array(rig.stage.T_rig_stage.matrix)})
+    if "stage" in take.spaces:
+        take = take.in_frame("stage")
+    if nwb is not None:
+        click.echo(f"{nwb}: {write_nwb(nwb, take, files[0].stem)} tracks, metres, radians")
+    if mat is not None:
+        click.echo(f"{mat}: {write_mat(mat, take)} tracks, metres, radians")
+    if netcdf is not None:
+        click.echo(f"{netcdf}: {write_netcdf(netcdf, take)} groups, metres")
+    if bids is not None:
+        plain = re.sub(r"[^A-Za-z0-9]", "", files[0].stem) or "rhot"
+        rate_hz = rate_hz or _rate_of(take)
+        file = write_bids(bids, take, bids_name or f"sub-01_task-{plain}", rate_hz)
+        click.echo(f"{file}: at {rate_hz:g} Hz, metres, radians")
+
+
+def _rate_of(take: Take) -> float:
+    """Return the rate of the fastest track, whole hertz."""
+    return float(max(round(real_rate_hz(track.t_ns)) for track in take.tracks.values()))
+
+
 def _write_viewer_files(
     parts: Sequence[RecordedMessages],
     cameras: Mapping[str, CameraCalibration],
@@ -187,12 +240,7 @@ def _write_viewer_files(
     rerun_file: Path | None,
 ) -> None:
     if foxglove_file is not None:
-        try:
-            from rhot_tools.export.foxglove import write_foxglove  # noqa: PLC0415  # its extra may be absent
-        except ModuleNotFoundError as error:
-            raise ConfigError(
-                f"--foxglove needs the Python module {error.name}; pip install 'rhot[foxglove]'"
-            ) from error
+        write_foxglove = load_library("rhot_tools.export.foxglove", "--foxglove", "foxglove").write_foxglove
         topics = write_foxglove(foxglove_file, chain.from_iterable(parts), dict(cameras), _pictures(parts))
         click.echo(f"{foxglove_file}: {sum(topics.values())} messages on {len(topics)} topics")
     if rerun_file is not None:
@@ -217,7 +265,14 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
 @click.option("--gltf", type=_FILE, help="Animated glTF scene, .glb or .gltf, for Blender, engines and browsers.")
 @click.option("--trc", type=_FILE, help="Markers for OpenSim.")
 @click.option("--mot", type=_FILE, help="Joint angles for OpenSim.")
+@click.option("--osim", type=_FILE, help="OpenSim model of the recorded hands, for its inverse kinematics on --trc.")
 @click.option("--c3d", type=_FILE, help="Markers for Mokka, Visual3D, MATLAB and others.")
+@click.option("--nwb", type=_FILE, help="Neurodata Without Borders, hands by ndx-pose.")
+@click.option("--bids", type=click.Path(path_type=Path, file_okay=False), help="Dataset of Motion-BIDS to add to.")
+@click.option("--bids-name", metavar="NAME", help="With --bids: sub-<label>[_ses-<label>]_task-<label>[_run-<index>].")
+@click.option("--mat", type=_FILE, help="Structs for MATLAB.")
+@click.option("--netcdf", type=_FILE, help="netCDF, a group for each kind of thing.")
+@click.option("--isaac", type=_FILE, help="MCAP file of hands for NVIDIA Isaac Teleop.")
 @click.option(
     "--foxglove",
     "foxglove_file",
@@ -250,7 +305,14 @@ def export(
     gltf: Path | None,
     trc: Path | None,
     mot: Path | None,
+    osim: Path | None,
     c3d: Path | None,
+    nwb: Path | None,
+    bids: Path | None,
+    bids_name: str | None,
+    mat: Path | None,
+    netcdf: Path | None,
+    isaac: Path | None,
     foxglove_file: Path | None,
     rerun_file: Path | None,
     side: Side | None,
@@ -268,9 +330,12 @@ def export(
     row is one moment, t_s counts seconds from the first row of any table, t_ns nanoseconds since 1970 on the rig clock;
     lengths are metres, angles radians, quaternions qx qy qz qw.
 
-    Motion (glTF, BVH, TRC, MOT, C3D), in the stage: y up, origin on the floor, as the recording or the rig folder knows
-    it. Time 0 is the first pose. TRC and glTF are in metres, BVH in centimetres, C3D in millimetres, MOT in degrees.
-    docs/export.md says what to open them with.
+    Motion (glTF, BVH, TRC, MOT, OSIM, C3D, Isaac), in the stage: y up, origin on the floor, as the recording or the rig
+    folder knows it. Time 0 is the first pose, but for Isaac. glTF, TRC and Isaac are in metres, BVH in centimetres, C3D
+    in millimetres, MOT in degrees. docs/export.md says what to open them with.
+
+    Files for archives (NWB, Motion-BIDS, MATLAB, netCDF) hold everything with its standard deviations and marked
+    events, in the stage where it is known, else in the rig frame; BIDS at a steady rate, that of --fps.
 
     Files for viewers show hands, points, objects, cameras and markers, over the pictures where `rhot record --frames`
     wrote them beside the recording.
@@ -278,17 +343,21 @@ def export(
     \b
     rhot export grasp.mcap --csv tables
     rhot export grasp.mcap --gltf grasp.glb --bvh grasp.bvh --fps 60
-    rhot export grasp.mcap --trc grasp.trc --mot grasp.mot --c3d grasp.c3d
+    rhot export grasp.mcap --trc grasp.trc --mot grasp.mot --osim grasp.osim
     rhot export grasp.mcap --foxglove grasp.foxglove.mcap --rerun grasp.rrd
     """
     bvh_name = bvh_of or (None if side is None else f"hand_{side}")
-    targets = MotionTargets(bvh, trc, mot, c3d, gltf, bvh_name, rate_hz)
-    if not targets.any and all(each is None for each in (csv_folder, parquet_folder, foxglove_file, rerun_file)):
+    targets = MotionTargets(bvh, trc, mot, osim, c3d, gltf, isaac, bvh_name, rate_hz)
+    archives = (nwb, bids, mat, netcdf)
+    others = (csv_folder, parquet_folder, foxglove_file, rerun_file, *archives)
+    if not targets.any and all(each is None for each in others):
         raise click.UsageError(
-            "say what to write: --csv, --parquet, --gltf, --bvh, --trc, --mot, --c3d, --foxglove or --rerun"
+            "say what to write: --csv, --parquet, --gltf, --bvh, --trc, --mot, --osim, --c3d, --nwb, --bids, --mat, "
+            "--netcdf, --isaac, --foxglove or --rerun"
         )
-    if foxglove_file is not None and foxglove_file.resolve() in [file.resolve() for file in files]:
-        raise click.UsageError(f"--foxglove {foxglove_file} is the recording itself; choose another name")
+    for option, file in (("--foxglove", foxglove_file), ("--isaac", isaac)):
+        if file is not None and file.resolve() in [each.resolve() for each in files]:
+            raise click.UsageError(f"{option} {file} is the recording itself; choose another name")
     if len(files) > 1 and not join:
         raise click.UsageError("several files: --join makes one of the parts of a recording; export others one by one")
     parts = joined_parts(files) if join else [RecordedMessages(files[0])]
@@ -298,7 +367,7 @@ def export(
             errors.print(part.note, style="yellow")
     if csv_folder is not None or parquet_folder is not None:
         _write_tables(parts, csv_folder, parquet_folder)
-    rig = _attached_rig(parts) if rig_path is None else load_rig(rig_path)
+    rig = rig_of(parts) if rig_path is None else load_rig(rig_path)
     if targets.any:
         T_stage_rig = stage_of(chain.from_iterable(parts), rig)
         found = motions(chain.from_iterable(parts), measured=measured)
@@ -306,7 +375,10 @@ def export(
             errors.print(NO_STAGE, style="yellow")
         else:
             found = {name: motion.moved(T_stage_rig) for name, motion in found.items()}
-        write_motion_files(targets, found, in_stage=T_stage_rig is not None)
+        events = [message for _, message in chain.from_iterable(parts) if isinstance(message, Event)]
+        write_motion_files(targets, found, in_stage=T_stage_rig is not None, events=events)
+    if any(each is not None for each in archives):
+        _write_archives(files, rig, nwb, bids, bids_name, mat, netcdf, rate_hz)
     _write_viewer_files(parts, {} if rig is None else rig.cameras, foxglove_file, rerun_file)
     invalid = sum(part.invalid for part in parts)
     if invalid:

@@ -1,56 +1,158 @@
-"""`rhot process`: the whole tracker over a recording, with the very cores that run live."""
+"""`rhot process`: the whole tracker over recordings, with the very cores that run live."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import multiprocessing
 import sys
 from collections import Counter
-from collections.abc import Iterator
-from itertools import chain
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 import click
-import numpy as np
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from rhot.atomic_file import replacing
-from rhot.cli.options import rig_option
-from rhot.errors import ConfigError
-from rhot.messages import FootPose, MarkerFrame, PointSet
-from rhot.offline import MessagesBeside, OfflineTracker, feet_of, marker_frames, rig_timing
-from rhot.recording import Recording, load_recording
-from rhot.rig import load_rig
-from rhot_tools.export.source import RecordedMessages
-from rhot_tools.recordings.beside import messages_beside
-from rhot_tools.trial.verdict import TrialJudge
+from rhot.cli.options import DEFAULT_RIG
+from rhot.errors import ConfigError, RhotError
+from rhot.messages import FootPose, MarkerFrame, Message, PointSet, encode, encoding_of
+from rhot.recording.mcap.writer import McapWriter, attachments_of
+from rhot.rig import Rig
+from rhot.rig.folder import RIG_FILE, settings_files
+from rhot.take.tracking import Retracked, open_recorded
+from rhot_tools.trial.verdict import TrialJudge, TrialVerdict
+
+Write = Callable[[str, Message], None]
 
 
-def _frame_count(recording: Recording) -> int:
-    return sum(len(np.unique(track.frames)) for track in recording.cameras.values())
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One recording to track.
+
+    Attributes:
+        recording: its folder or file.
+        out: file to write; `-` is standard output.
+        rig: rig folder; None = the rig that the recording carries.
+        only: beginnings of the keys to write; empty = all.
+        smooth: whether later frames are used, too.
+    """
+
+    recording: Path
+    out: Path
+    rig: Path | None
+    only: tuple[str, ...]
+    smooth: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What came of it: warnings, messages by key, and whether the trial can be used."""
+
+    remarks: list[str]
+    counts: Counter[str]
+    verdict: TrialVerdict
+
+
+def run(job: Job, progress: Progress | None = None) -> Done:
+    """Track one recording and write the result.
+
+    Raises:
+        RhotError: it cannot be tracked or written.
+    """
+    with contextlib.ExitStack() as stack:
+        recorded = open_recorded(job.recording, job.rig, stack)
+        rig, remarks = recorded.rig, []
+        if rig.config.cameras and not rig.calibrated:
+            remarks.append(
+                f"{rig.path} is not calibrated (no cameras.json): cameras are taken as parallel, at the positions and "
+                "with the field of view of rig.toml"
+            )
+        if recorded.beside:
+            remarks.append(f"with the objects of {', '.join(map(str, recorded.beside))}")
+        tracker = recorded.tracker(smooth=job.smooth)
+        judge, counts = TrialJudge(rig), Counter[str]()
+        write = stack.enter_context(_output(job.out, rig))
+        task = (
+            None
+            if progress is None
+            else progress.add_task(f"tracking {job.recording.name}, frames", total=recorded.count)
+        )
+        for key, message in recorded.passed_on:
+            if not job.only or key.startswith(job.only):
+                write(key, message)
+        looked_at = 0
+        for key, message in tracker.run(recorded.frames):
+            counts[key] += 1
+            judge.add(message)
+            if not job.only or key.startswith(job.only):
+                write(key, message)
+            if progress is not None and task is not None:
+                looked_at = _advance(progress, task, recorded, message, looked_at, smooth=job.smooth)
+        if recorded.feet is not None and not any(key.startswith("rhot/foot/") for key in counts):
+            remarks.append("no foot was found: are the markers those of rig.toml, and was the head tracked meanwhile?")
+        return Done(remarks, counts, judge.verdict(tracker.problems))
+
+
+def _advance(
+    progress: Progress, task: TaskID, recorded: Retracked, message: Message, looked_at: int, *, smooth: bool
+) -> int:
+    """Show the progress; return how many pictures of feet were looked at."""
+    feet = recorded.feet
+    if isinstance(message, MarkerFrame):
+        progress.advance(task)
+    elif feet is not None and isinstance(message, FootPose) and feet.frames_done > looked_at:
+        progress.advance(task, feet.frames_done - looked_at)
+        return feet.frames_done
+    elif smooth and isinstance(message, PointSet):
+        progress.update(task, description=f"looking back, {recorded.rig.config.name}")
+    return looked_at
 
 
 @contextlib.contextmanager
-def _output(file: Path) -> Iterator[IO[str]]:
-    """Write a file that appears only when it is complete; `-` is standard output."""
+def _output(file: Path, rig: Rig) -> Iterator[Write]:
+    """Write a file that appears only when it is complete: MCAP or JSON Lines by its name; `-` is standard output."""
     if str(file) == "-":
-        yield sys.stdout
+        yield _lines_to(sys.stdout)
         return
-    with replacing(file) as part, part.open("w", encoding="utf-8") as stream:
-        yield stream
+    with replacing(file) as part:
+        if file.suffix != ".mcap":
+            with part.open("w", encoding="utf-8") as stream:
+                yield _lines_to(stream)
+            return
+        part.unlink(missing_ok=True)
+        about = {"program": "rhot process"}
+        with McapWriter(part, now_ns=0, attachments=attachments_of(settings_files(rig.path)), about=about) as mcap:
+
+            def write(key: str, message: Message) -> None:
+                mcap.write(
+                    key, encoding_of(type(message)), encode(message), message.t_ns, message.seq, log_ns=message.t_ns
+                )
+
+            yield write
+
+
+def _lines_to(stream: IO[str]) -> Write:
+    def write(key: str, message: Message) -> None:
+        value = message.model_dump_json(exclude_none=True)
+        stream.write(f'{{"key": {json.dumps(key)}, "value": {value}}}\n')
+
+    return write
 
 
 @click.command()
-@click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.argument("recordings", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--out",
     "out_path",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=click.Path(path_type=Path),
     required=True,
-    help="JSON Lines file to write; - for standard output.",
+    help="File to write: MCAP if its name ends in .mcap, else JSON Lines; - for standard output. Of several "
+    "recordings, a folder: each becomes an MCAP file of its name there.",
 )
 @click.option(
     "--only",
@@ -64,73 +166,130 @@ def _output(file: Path) -> Iterator[IO[str]]:
     help="Also use later frames, for the most accurate paths; a live rig cannot do that. Marker frames are "
     "written first, then points and hands.",
 )
-@rig_option
-def process(recording_path: Path, out_path: Path, only: tuple[str, ...], smooth: bool, rig_path: Path) -> int:
-    """Track a recording and write every message that would be published, one JSON object per line.
+@click.option(
+    "--jobs",
+    type=click.IntRange(1, 64),
+    default=1,
+    show_default=True,
+    help="Track this many recordings at once, each on a core of its own.",
+)
+@click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path, file_okay=False),
+    envvar="RHOT_RIG",
+    show_envvar=True,
+    help="Rig folder.  [default: the rig that a recording carries, else rig]",
+)
+def process(
+    recordings: tuple[Path, ...],
+    out_path: Path,
+    only: tuple[str, ...],
+    smooth: bool,
+    jobs: int,
+    rig_path: Path | None,
+) -> int:
+    """Track recordings again and write every message that would be published.
 
-    RECORDING is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
-    (markers.csv), and, for feet, what `rhot record --frames` wrote of the depth camera, the ankle sensors and the head.
-    Each line reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it. Objects and
-    head come from the MCAP file beside the pictures, where there is one.
+    RECORDING is an MCAP file of `rhot record` or JSON Lines, whose marker frames and objects are tracked again. Or it
+    is a folder that holds, per camera of the rig, pictures with timestamps.csv, a video, or marker tracks
+    (markers.csv), and, for feet, what `rhot record --frames` wrote of the depth camera, the ankle sensors and the head;
+    objects and head come from the MCAP file beside the pictures, where there is one.
 
-    At the end it says whether the trial can be used, and why not. The exit code is 1 if it cannot.
+    A line of JSON Lines reads {"key": "rhot/hand/right", "value": {...}}, as the live rig would have published it.
+
+    \b
+    rhot process grasp.mcap --smooth --out grasp.smooth.mcap
+    rhot process take/ --rig myrig --out take.jsonl
+    rhot process trials/*.mcap --smooth --jobs 4 --out smooth/
+
+    At the end it says whether the trial can be used, and why not. The exit code is 1 if one cannot.
     """
     wrong = [key for key in only if not key.startswith("rhot/")]
     if wrong:
         raise ConfigError(f"--only {wrong[0]}: keys begin with rhot/, such as rhot/hand")
-    rig = load_rig(rig_path)
-    recording = load_recording(recording_path, rig_timing(rig))
-    counts: Counter[str] = Counter()
-    looked_at = 0
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("frames"),
-        TimeRemainingColumn(),
-    )
+    several = len(recordings) > 1
+    if several and (out_path.is_file() or str(out_path) == "-"):
+        raise ConfigError(f"--out {out_path}: several recordings need a folder")
+    if not several and out_path.is_dir():
+        several = True
+    todo = [
+        Job(each, _target(out_path, each) if several else out_path, rig_path or _default_rig(each), only, smooth)
+        for each in recordings
+    ]
+    _refuse_clashes(todo)
+    if several:
+        out_path.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True, soft_wrap=True)
-    feet = feet_of(rig, recording)
-    if recording.cameras and not rig.calibrated:
-        console.print(
-            f"[yellow]{escape(str(rig_path))} is not calibrated (no cameras.json): cameras are taken as parallel, at "
-            "the positions and with the field of view of rig.toml[/]"
-        )
-    objects = _objects_beside(recording, console)
-    tracker = OfflineTracker(rig, feet, objects, smooth=smooth)
-    judge = TrialJudge(rig)
-    with _output(out_path) as stream, Progress(*columns, console=console) as progress:
-        pictures = 0 if feet is None else feet.frame_count
-        task = progress.add_task("tracking", total=_frame_count(recording) + pictures)
-        for key, message in tracker.run(marker_frames(rig, recording)):
-            counts[key] += 1
-            judge.add(message)
-            if isinstance(message, MarkerFrame):
-                progress.advance(task)
-            elif feet is not None and isinstance(message, FootPose) and feet.frames_done > looked_at:
-                progress.advance(task, feet.frames_done - looked_at)
-                looked_at = feet.frames_done
-            elif smooth and isinstance(message, PointSet):
-                progress.update(task, description="looking back")
-            if not only or key.startswith(only):
-                value = message.model_dump_json(exclude_none=True)
-                stream.write(f'{{"key": {json.dumps(key)}, "value": {value}}}\n')
-    for key, number in sorted(counts.items()):
-        console.print(f"{key:<24} {number:>8} messages")
-    if feet is not None and not any(key.startswith("rhot/foot/") for key in counts):
-        console.print(
-            "[yellow]no foot was found: are the markers those of rig.toml, and was the head tracked meanwhile?[/]"
-        )
-    verdict = judge.verdict(tracker.problems)
-    verdict.print(console)
-    return verdict.exit_code
+    return _run_all(todo, jobs, console)
 
 
-def _objects_beside(recording: Recording, console: Console) -> MessagesBeside | None:
-    """Return the objects and the head that `rhot record --frames` wrote beside the pictures, None without any."""
-    files = messages_beside(recording.path)
-    objects = MessagesBeside(chain.from_iterable(RecordedMessages(file) for file in files))
-    if not objects:
+def _target(folder: Path, recording: Path) -> Path:
+    return folder / f"{recording.stem if recording.is_file() else recording.name}.mcap"
+
+
+def _default_rig(recording: Path) -> Path | None:
+    """Return the rig folder that is meant where none is named: a recording carries its own, pictures do not."""
+    beside = recording.with_name(f"{recording.name}.mcap")
+    if recording.suffix == ".mcap" or (
+        recording.is_dir() and beside.is_file() and not (DEFAULT_RIG / RIG_FILE).exists()
+    ):
         return None
-    console.print(f"with the objects of {escape(', '.join(str(file) for file in files))}")
-    return objects
+    return DEFAULT_RIG
+
+
+def _refuse_clashes(todo: Sequence[Job]) -> None:
+    outs = Counter(job.out for job in todo)
+    twice = [out for out, number in outs.items() if number > 1]
+    if twice:
+        raise ConfigError(f"{twice[0]} would be written twice: two recordings have one name; track them one by one")
+    for job in todo:
+        if str(job.out) != "-" and job.out.resolve() == job.recording.resolve():
+            raise ConfigError(f"--out {job.out} is the recording itself; choose another name")
+
+
+def _run_all(todo: Sequence[Job], jobs: int, console: Console) -> int:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    several, worst = len(todo) > 1, 0
+    if jobs == 1 or not several:
+        for job in todo:
+            with Progress(*columns, console=console, transient=several) as bar:
+                done = run(job, bar)
+            worst = max(worst, _tell(job, done, console, name=several))
+        return worst
+    # Not forked: this process has threads.
+    with (
+        ProcessPoolExecutor(min(jobs, len(todo)), multiprocessing.get_context("spawn")) as pool,
+        Progress(*columns, console=console) as bar,
+    ):
+        task = bar.add_task("tracking recordings", total=len(todo))
+        futures = {pool.submit(run, job): job for job in todo}
+        try:
+            for future in as_completed(futures):
+                job = futures[future]
+                try:
+                    done = future.result()
+                except RhotError as error:
+                    console.print(f"{job.recording}: {error}", style="red", markup=False)
+                    worst = max(worst, 1)
+                else:
+                    worst = max(worst, _tell(job, done, console, name=True))
+                bar.advance(task)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.terminate()
+            raise
+    return worst
+
+
+def _tell(job: Job, done: Done, console: Console, *, name: bool) -> int:
+    """Say what came of a recording, and return its exit code."""
+    if name:
+        console.print(f"{job.recording} → {job.out}", markup=False)
+    for remark in done.remarks:
+        console.print(remark, style="" if remark.startswith("with the objects") else "yellow", markup=False)
+    for key, number in sorted(done.counts.items()):
+        console.print(f"{key:<24} {number:>8} messages", markup=False)
+    done.verdict.print(console)
+    return done.verdict.exit_code

@@ -18,6 +18,7 @@ from rich.table import Table
 from rhot.bus import CONNECT_S, Bus
 from rhot.cli.options import DEFAULT_RIG, FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import ConfigError
+from rhot.recording.attached import attached_rig
 from rhot.recording.feet_tables import HEAD_FILE, FeetTables
 from rhot.recording.mcap.gaps import Tally
 from rhot.recording.mcap.session import record as record_session
@@ -29,6 +30,7 @@ from rhot.recording.mcap.session import (
     subscribe_pictures,
 )
 from rhot.recording.mcap.writer import McapWriter, attachments_of, rig_files
+from rhot.recording.messages import RecordedMessages
 from rhot.recording.model import MOST_CAMERAS
 from rhot.recording.picture_folder import PictureFolder
 from rhot.report.html import figures_table
@@ -36,8 +38,6 @@ from rhot.rig import BusConfig
 from rhot.service.configuration import fetch_rig_files
 from rhot.service.stop import Stop, install_stop
 from rhot.text import printable
-from rhot_tools.export.source import RecordedMessages
-from rhot_tools.recordings.beside import attached_rig
 from rhot_tools.trial.verdict import judged_recording
 
 _SWITCH_S = 0.0005

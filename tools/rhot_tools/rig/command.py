@@ -23,6 +23,7 @@ from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, Point
 from rhot.offline import marker_frames, rig_timing, track
 from rhot.recording import MarkerTrack, load_recording
+from rhot.recording.messages import RecordedMessages
 from rhot.rig import BusConfig, Rig, load_rig
 from rhot.rig.cameras import camera_model
 from rhot.rig.colors import load_colors
@@ -33,7 +34,6 @@ from rhot_capture.sources.recorded import read_pictures
 from rhot_capture.timing import row_time_ns
 from rhot_sim.rig.folder import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
-from rhot_tools.export.source import RecordedMessages
 from rhot_tools.measures.output import html_report, json_option, page_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 from rhot_tools.recordings.beside import pictures_beside

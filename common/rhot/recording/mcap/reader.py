@@ -12,7 +12,7 @@ import io
 import logging
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Final
@@ -30,6 +30,8 @@ from rhot.recording.mcap.writer import ENCODING_METADATA
 
 _RECORD_HEAD: Final = struct.Struct("<BQ")
 _FOOTER_BYTES: Final = _RECORD_HEAD.size + 20
+_MESSAGE: Final = struct.Struct("<HIQQ")
+"""Channel, sequence number, log and publish time, which a message's data follow."""
 _CHUNK_TIMES: Final = struct.Struct("<QQ")
 _MAX_CHUNK_BYTES: Final = 1 << 28
 """Of a chunk, packed and unpacked. `rhot record` begins a new one every second; pictures are not in it."""
@@ -136,9 +138,33 @@ class McapRecording:
                         if isinstance(record, MessageRecord) and first <= record.log_time <= last:
                             yield self._sample(record, span)
                 except _DamagedError as error:
-                    if span.offset not in self._damaged:
-                        logger.warning("%s", error)
-                    self._damaged.add(span.offset)
+                    self._warn(span, error)
+
+    def payloads(self, channels: Container[int]) -> Iterator[tuple[int, list[bytes]]]:
+        """Yield the payloads of some channels, a list for each chunk and channel, in the order in which they arrived.
+
+        A tenth of the time of `samples`, for who needs no times of arrival; what is damaged is left out alike.
+
+        Args:
+            channels: their numbers in the file.
+
+        Raises:
+            ConfigError: the file cannot be opened any more.
+        """
+        with _opened(self.path) as stream:
+            for span in self._chunks:
+                found: dict[int, list[bytes]] = {}
+                try:
+                    _gather(self.path, stream, span, channels, found)
+                except _DamagedError as error:
+                    self._warn(span, error)
+                yield from found.items()
+
+    def _warn(self, span: _ChunkSpan, error: _DamagedError) -> None:
+        """Log a damaged chunk, once however often the file is read."""
+        if span.offset not in self._damaged:
+            logger.warning("%s", error)
+        self._damaged.add(span.offset)
 
     def _sample(self, record: MessageRecord, span: _ChunkSpan) -> RecordedSample:
         channel = self.channels.get(record.channel_id)
@@ -313,19 +339,48 @@ def _chunk_records(path: Path, stream: IO[bytes], span: _ChunkSpan) -> Iterator[
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(stream.read(span.length))))
         unpacked = _unpacked(chunk)
-        data = ReadDataStream(io.BytesIO(unpacked))
-        while data.count < len(unpacked):
-            opcode, length = data.read1(), data.read8()
+        for opcode, body, end in _records(unpacked):
             if opcode == Opcode.MESSAGE:
-                yield MessageRecord.read(data, length)
-            elif opcode == Opcode.CHANNEL:
-                yield Channel.read(data)
-            elif opcode == Opcode.SCHEMA:
-                yield Schema.read(data)
-            else:
-                data.read(length)
+                # By hand: mcap's own reader takes ten times as long, and there are hundreds a second.
+                channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(unpacked, body)
+                yield MessageRecord(channel, log_ns, unpacked[body + _MESSAGE.size : end], publish_ns, sequence)
+            elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
+                record = ReadDataStream(io.BytesIO(unpacked[body:end]))
+                yield Channel.read(record) if opcode == Opcode.CHANNEL else Schema.read(record)
     except Exception as error:
         # Whatever the decompressors and the record parser raise on wrong bytes: the file is at fault.
+        raise _damaged(path, span, str(error) or type(error).__name__) from error
+
+
+def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield of each record of an unpacked chunk its opcode, and where its content begins and ends.
+
+    Raises:
+        ValueError: a record ends after its chunk.
+    """
+    end = 0
+    while end < len(data):
+        opcode, length = _RECORD_HEAD.unpack_from(data, end)
+        body = end + _RECORD_HEAD.size
+        end = body + length
+        if end > len(data):
+            raise ValueError("a record ends after its chunk")
+        yield opcode, body, end
+
+
+def _gather(
+    path: Path, stream: IO[bytes], span: _ChunkSpan, channels: Container[int], found: dict[int, list[bytes]]
+) -> None:
+    """Add a chunk's payloads of some channels to the lists by channel."""
+    stream.seek(span.offset)
+    try:
+        data = _unpacked(Chunk.read(ReadDataStream(io.BytesIO(stream.read(span.length)))))
+        for opcode, body, end in _records(data):
+            if opcode == Opcode.MESSAGE:
+                number = data[body] | data[body + 1] << 8
+                if number in channels:
+                    found.setdefault(number, []).append(data[body + _MESSAGE.size : end])
+    except Exception as error:
         raise _damaged(path, span, str(error) or type(error).__name__) from error
 
 

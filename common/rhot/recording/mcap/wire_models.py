@@ -23,6 +23,7 @@ _BY_KEY: Final[dict[str, type[Message]]] = {
     "control": messages.Control,
     "status": messages.ServiceStatus,
     "truth": messages.Truth,
+    "event": messages.Event,
 }
 """Second chunk of the key to the model on it."""
 

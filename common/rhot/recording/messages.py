@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Any, Final
 
+import msgpack
 from pydantic import ValidationError
 
 from rhot.errors import ConfigError, WireError
 from rhot.messages import Message, first_problem
 from rhot.recording.mcap.gaps import Tally
 from rhot.recording.mcap.reader import RecordedSample, is_mcap, open_mcap
-from rhot.recording.mcap.wire_models import model_of_key
+from rhot.recording.mcap.wire_models import model_of_encoding, model_of_key
 
 _KEY: Final = re.compile(r"rhot(/[A-Za-z0-9_.-]{1,64}){1,3}")
 """Keys of ours. Tables, files and joints are named after them, so that none may act on a terminal or a file system."""
@@ -53,15 +54,53 @@ class RecordedMessages:
 
     def __iter__(self) -> Iterator[tuple[str, Message]]:
         """Return the messages in the order of the file."""
-        self.invalid = 0
-        return self._from_lines() if self._recording is None else self._from_samples(self._recording.samples())
+        return self._messages_of(self._lines()) if self._recording is None else self._messages()
 
-    def _from_samples(self, samples: Iterator[RecordedSample]) -> Iterator[tuple[str, Message]]:
+    def payloads(
+        self, keys: Container[str] | None = None, leave_out: type[Message] | None = None
+    ) -> Iterator[tuple[str, type[Message], list[bytes]]]:
+        """Yield key, model and msgpack payloads of the messages, which are not yet checked; each key's in their order.
+
+        Args:
+            keys: only these.
+            leave_out: a model whose keys are named alone, without payloads.
+        """
+        if self._recording is None:
+            for _, key, model, value in self._lines():
+                if keys is None or key in keys:
+                    yield key, model, [] if model is leave_out else [msgpack.packb(value)]
+            return
+        self.invalid = 0
         tally = Tally()
-        for sample in samples:
-            if not (_KEY.fullmatch(sample.key) and tally.admits(sample.key, sample.encoding)):
+        known: dict[int, tuple[str, type[Message]]] = {}
+        refused = set()
+        for number, channel in self._recording.channels.items():
+            model_here = model_of_encoding(channel.encoding)
+            if not (_KEY.fullmatch(channel.key) and tally.admits(channel.key, channel.encoding)):
+                refused.add(number)
+            elif model_here is leave_out and leave_out is not None:
+                yield channel.key, leave_out, []
+            elif model_here is not None and (keys is None or channel.key in keys):
+                known[number] = channel.key, model_here
+        for number, payloads in self._recording.payloads(known.keys() | refused):
+            if number in refused:
+                self.invalid += len(payloads)
+            else:
+                yield *known[number], payloads
+
+    def _samples(self) -> Iterator[RecordedSample]:
+        """Yield what a rig's own keys hold."""
+        self.invalid = 0
+        tally = Tally()
+        assert self._recording is not None
+        for sample in self._recording.samples():
+            if _KEY.fullmatch(sample.key) and tally.admits(sample.key, sample.encoding):
+                yield sample
+            else:
                 self.invalid += 1
-                continue
+
+    def _messages(self) -> Iterator[tuple[str, Message]]:
+        for sample in self._samples():
             try:
                 message = sample.message()
             except WireError:
@@ -70,7 +109,9 @@ class RecordedMessages:
             if isinstance(message, Message):
                 yield sample.key, message
 
-    def _from_lines(self) -> Iterator[tuple[str, Message]]:
+    def _lines(self) -> Iterator[tuple[int, str, type[Message], Any]]:
+        """Yield number, key, model and value of each line that is a message of ours."""
+        self.invalid = 0
         try:
             with self.path.open(encoding="utf-8-sig") as stream:
                 yield from self._parsed(stream)
@@ -79,23 +120,26 @@ class RecordedMessages:
         except OSError as error:
             raise ConfigError(f"{self.path}: cannot be read: {error.strerror or error}") from error
 
-    def _parsed(self, stream: IO[str]) -> Iterator[tuple[str, Message]]:
+    def _parsed(self, stream: IO[str]) -> Iterator[tuple[int, str, type[Message], Any]]:
         tally = Tally()
         for number, line in enumerate(stream, start=1):
             try:
                 entry = json.loads(line)
-                key, value = entry["key"], json.dumps(entry["value"])
+                key, value = str(entry["key"]), entry["value"]
             except (ValueError, TypeError, KeyError, RecursionError) as error:
                 raise self._refusal(number, line.strip()[:60]) from error
-            model = model_of_key(str(key))
+            model = model_of_key(key)
             if model is None:
                 continue
-            if not (_KEY.fullmatch(str(key)) and tally.admits(str(key), "")):
+            if _KEY.fullmatch(key) and tally.admits(key, ""):
+                yield number, key, model, value
+            else:
                 self.invalid += 1
-                continue
+
+    def _messages_of(self, lines: Iterator[tuple[int, str, type[Message], Any]]) -> Iterator[tuple[str, Message]]:
+        for number, key, model, value in lines:
             try:
-                # From text: strict models take a JSON array for a tuple only there.
-                yield str(key), model.model_validate_json(value)
+                yield key, model.model_validate(value)
             except ValidationError as error:
                 raise ConfigError(f"{self.path}, line {number}: {key}: {first_problem(error)}") from error
 

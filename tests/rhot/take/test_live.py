@@ -1,0 +1,125 @@
+"""`rhot.connect`: hands of a running rig, by a loop of either kind, and what is said where there is none."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from hand_messages import hand_pose, point_set
+
+import rhot
+from rhot.bus import Bus
+from rhot.errors import BusError, ConfigError
+from rhot.messages import HandPose, PointSet
+from rhot.rig import BusConfig
+
+START_NS = 1_790_000_000_000_000_000
+
+
+async def publish(config: BusConfig, stop: threading.Event | asyncio.Event) -> None:
+    async with await Bus.open(config) as bus:
+        hands, points = bus.publisher("rhot/hand/right", HandPose), bus.publisher("rhot/points", PointSet)
+        for index in itertools.count():
+            if stop.is_set():
+                return
+            hands.put(hand_pose(0.01 * index, START_NS + index * 10_000_000))
+            points.put(point_set(START_NS + index * 10_000_000))
+            await asyncio.sleep(0.01)
+
+
+@contextmanager
+def publishing(endpoint: str) -> Iterator[None]:
+    """A router and a rig in a thread of their own, for readers that know no event loop."""
+    stop, listening = threading.Event(), threading.Event()
+
+    async def run() -> None:
+        async with await Bus.open(BusConfig(mode="router", connect=(), listen=(endpoint,))):
+            listening.set()
+            await publish(BusConfig(connect=(endpoint,)), stop)
+
+    thread = threading.Thread(target=asyncio.run, args=(run(),))
+    thread.start()
+    listening.wait(10.0)
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_ten_lines_without_an_event_loop(endpoint: str) -> None:
+    with publishing(endpoint), rhot.connect(endpoint) as rig:
+        seen = list(itertools.islice(rig.hands("right"), 3))
+        points = next(iter(rig.points()))
+    assert [hand.side for hand in seen] == ["right"] * 3
+    assert seen[0].t_ns < seen[1].t_ns < seen[2].t_ns
+    hand = seen[0]
+    truth = hand_pose(1e-9 * (hand.t_ns - START_NS), hand.t_ns)
+    np.testing.assert_allclose(hand.joint("index_tip"), truth.joints["index_tip"].position)
+    np.testing.assert_allclose(hand.positions[5], truth.joints[hand.joint_names[5]].position)
+    assert hand.angles[hand.angle_names.index("little_pip_flexion")] == truth.angles["little"].pip_flexion
+    assert hand.landmarks21().shape == (21, 3)
+    assert np.isnan(hand.sigma).all(), "this rig states none"
+    assert points.points.keys() == {"index", "thumb"}
+
+
+async def test_the_same_with_an_event_loop(router: BusConfig) -> None:
+    stop = asyncio.Event()
+    task = asyncio.create_task(publish(router, stop))
+    async with rhot.connect(router.connect[0]) as rig:
+        seen = []
+        async for hand in rig.hands("right"):
+            seen.append(hand.t_ns)
+            if len(seen) == 3:
+                break
+    stop.set()
+    await task
+    assert seen == sorted(set(seen))
+
+
+async def test_a_slow_reader_gets_the_newest(router: BusConfig) -> None:
+    """Fifty hands arrive while nobody reads; that they have is known from points that were sent after them."""
+    last_ns = START_NS + 50_000_000
+
+    def read_slowly(ready: threading.Event, sent: threading.Event) -> int:
+        with rhot.connect(router.connect[0]) as rig:
+            hands, points = iter(rig.hands("right")), iter(rig.points())
+            next(hands)
+            next(points)
+            ready.set()
+            assert sent.wait(30.0)
+            while next(points).t_ns != last_ns:
+                pass
+            return next(hands).t_ns
+
+    ready, sent = threading.Event(), threading.Event()
+    reading = asyncio.create_task(asyncio.to_thread(read_slowly, ready, sent))
+    async with await Bus.open(router) as bus:
+        hands, points = bus.publisher("rhot/hand/right", HandPose), bus.publisher("rhot/points", PointSet)
+        while not ready.is_set() and not reading.done():
+            hands.put(hand_pose(0.0, START_NS))
+            points.put(point_set(START_NS))
+            await asyncio.sleep(0.02)
+        for step in range(1, 51):
+            hands.put(hand_pose(0.0, START_NS + step * 1_000_000))
+        points.put(point_set(last_ns))
+        sent.set()
+        assert await reading == last_ns
+
+
+def test_no_rig_is_one_clear_error(endpoint: str) -> None:
+    with pytest.raises(BusError, match="no Zenoh router answers"), rhot.connect(endpoint, timeout_s=0.3):
+        pass
+
+
+def test_what_is_not_connected_or_no_key_says_so() -> None:
+    rig = rhot.connect()
+    with pytest.raises(BusError, match=r"use `with rhot\.connect"):
+        _ = rig.bus
+    with pytest.raises(ConfigError, match="rhot/nothing: no key with messages"):
+        rig.messages("rhot/nothing")
