@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 # Without compiled modules every process that a test starts, and every worker, would compile all of them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help sim foreign test faults stacks lint web openxr release page holder worlds format clean
+.PHONY: help sim foreign test faults stacks lint web openxr release page holder worlds grasps format clean
 
 help:
 	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
@@ -23,6 +23,7 @@ help:
 	@echo "make release  build wheel and source distribution, build/dist, and try them in fresh environments"
 	@echo "make holder   write the printable camera holder, build/holder/*.stl (docs/build.md)"
 	@echo "make worlds   render photo-real pictures of random rigs and hands with Blender (SEEDS=\"1 2\" SCORER=…/score.py)"
+	@echo "make grasps   measure fingers in random grasps, without pictures (HALF=held-back)"
 	@echo "make clean    remove the environment and caches"
 
 # pip would compile every module of every package; python compiles the few that are used when it first loads them.
@@ -89,6 +90,7 @@ holder: $(READY)
 BLENDER := .foreign/blender/.ready
 SEEDS ?= 1
 WORLDS ?= build/worlds
+HALF ?= develop
 SCORER ?= ../shared/data/rendered/score.py
 
 $(BLENDER): worlds/requirements.txt
@@ -98,6 +100,10 @@ $(BLENDER): worlds/requirements.txt
 
 worlds: $(BLENDER)
 	@PYTHONPATH=.:common nice $(dir $(BLENDER))bin/python -m worlds $(SEEDS) --out $(WORLDS) --scorer $(SCORER)
+
+# Fingers in a grasp, without pictures: six minutes of two cores each half.
+grasps: $(READY)
+	@$(BIN)/python -m worlds.grasps --half $(HALF) --jobs 2
 
 page:
 	@$(MAKE) --no-print-directory web || echo "going on without the page Grasp"

@@ -29,6 +29,7 @@ KEYS: Final = {
     "Space": ("rhot/space/<name>", "fusion, from the rig folder; or whoever knows it"),
     "FootPose": ("rhot/foot/<side>", "feet"),
     "BodyPose": ("rhot/body", "ik"),
+    "Event": ("rhot/event", "`rhot mark`, programs"),
     "Control": ("rhot/control", "whoever starts or stops"),
     "ClockReply": ("rhot/clock", "fusion, as the answer to a query"),
     "ServiceStatus": ("rhot/status/<service>/<instance>", "every service, once a second"),
@@ -156,7 +157,7 @@ def _attributes(doc: str) -> dict[str, str]:
 def _type(model: type[BaseModel], name: str, field: FieldInfo) -> str:
     """Return a field's type in words: the annotation as written in the source, without its bounds."""
     written = next(found for base in model.__mro__ if name in (found := inspect.get_annotations(base)))
-    text = str(written[name])
+    text = str(written[name]).replace(", Listed]", "]")
     text = re.sub(r", Field\([^()]*\)\]", "]", text).replace("Annotated[", "[")
     while (bare := re.sub(r"(?<![\w])\[((?:[^\[\]]|\w\[(?:[^\[\]]|\w\[[^\[\]]*\])*\])+)\]", r"\1", text)) != text:
         text = bare
