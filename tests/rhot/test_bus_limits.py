@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from typing import Any, cast
 
 import msgpack
@@ -125,7 +126,7 @@ async def test_questions_that_wait_for_a_worker_are_bounded(router: BusConfig) -
             asked = [asker.get("rhot/preview/left", timeout=PATIENCE_S) for _ in range(MAX_WAITING_ANSWERS + 3)]
             await until(lambda: server.limit_counts().get("questions_refused") == 3)
             released.set()
-            replies = [reply for found in asked for reply in received(found, PATIENCE_S)]
+            replies = [reply for found in asked for reply in received(found, PATIENCE_S, time.monotonic())]
         finally:
             released.set()
             await asyncio.to_thread(asker.close)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -128,11 +129,17 @@ def refuse(query: zenoh.Query, reason: str) -> None:
         query.reply_err(reason.encode(), encoding=zenoh.Encoding("text/plain"))
 
 
-def received(replies: Iterable[zenoh.Reply], timeout_s: float) -> list[Reply]:
+def received(replies: Iterable[zenoh.Reply], timeout_s: float, asked_s: float) -> list[Reply]:
     """Return the replies to a query, and one error at the end when somebody was asked and stayed silent.
 
     The router and the session of the asker each have a timer for the same query, and either may win, or both, so the
-    number of Zenoh's own `Timeout` replies says nothing.
+    number of Zenoh's own `Timeout` replies says nothing: now and then, beside load, there is none. Where nobody was
+    asked, the replies end at once.
+
+    Args:
+        replies: of Zenoh; ends when all have answered or the time is over.
+        timeout_s: how long the query lasts.
+        asked_s: when it was sent, `time.monotonic`.
     """
     found: list[Reply] = []
     silent = False
@@ -154,6 +161,7 @@ def received(replies: Iterable[zenoh.Reply], timeout_s: float) -> list[Reply]:
             silent = True
         else:
             found.append(Reply("", b"", "", error=printable(text)))
+    silent |= time.monotonic() - asked_s >= timeout_s
     return [*found, Reply("", b"", "", error=f"no answer within {timeout_s:g} s")] if silent else found
 
 

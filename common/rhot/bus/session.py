@@ -169,7 +169,8 @@ class Bus:
         """Return the liveliness tokens that match, one reply each."""
 
         def ask() -> list[Reply]:
-            return received(self._session.liveliness().get(key_expr, timeout=timeout_s), timeout_s)
+            asked_s = time.monotonic()
+            return received(self._session.liveliness().get(key_expr, timeout=timeout_s), timeout_s, asked_s)
 
         return await asyncio.to_thread(ask)
 
@@ -216,6 +217,7 @@ class Bus:
         return await asyncio.to_thread(self._get, selector, payload, timeout_s)
 
     def _get(self, selector: str, payload: bytes, timeout_s: float) -> list[Reply]:
+        asked_s = time.monotonic()
         try:
             replies = self._session.get(
                 selector,
@@ -224,7 +226,7 @@ class Bus:
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
             )
-            return received(replies, timeout_s)
+            return received(replies, timeout_s, asked_s)
         except zenoh.ZError as error:
             raise BusError(f"{selector.partition('?')[0]}: {plain_reason(error)}") from error
 
