@@ -166,7 +166,7 @@ class ViewerService:
             )
             tasks.create_task(self._calibrate.run())
             tasks.create_task(self._recording.run())
-            tasks.create_task(self._record.run())
+            tasks.create_task(self._record.run(node.bus))
             tasks.create_task(self._keep_history())
             tasks.create_task(self._update_panels())
             tasks.create_task(self._send_frames(node))

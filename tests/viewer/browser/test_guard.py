@@ -13,9 +13,9 @@ from typing import Any
 
 import msgspec
 import pytest
-import viser
 import websockets.asyncio.server
-from websockets.asyncio.client import ClientConnection, connect
+from page.plain_client import PROTOCOL, client, look, send
+from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from rhot.errors import ConfigError, DeviceError
@@ -24,7 +24,6 @@ from rhot_viewer.browser.page import Page
 from rhot_viewer.page_token import kept_token, links
 
 TOKEN = "0123456789abcdef0123"
-PROTOCOL = f"viser-v{viser.__version__}"
 
 
 @pytest.fixture
@@ -46,22 +45,6 @@ async def lan_page() -> AsyncIterator[Page]:
         opened.close()
 
 
-def client(page: Page, origin: str | None, *, host: str = "", cookie: str = "", path: str = "/") -> connect:
-    """A WebSocket client that says what a browser would say; `host` as the browser was told it."""
-    headers = {"Cookie": cookie} if cookie else {}
-    # The address is given apart, so that the Host header can be another machine's view of this one.
-    return connect(
-        f"ws://{host or '127.0.0.1'}:{page.port}{path}",
-        origin=origin,  # type: ignore[arg-type]
-        additional_headers=headers,
-        subprotocols=[PROTOCOL],  # type: ignore[list-item]
-        host="127.0.0.1",
-        port=page.port,
-        max_size=None,
-        open_timeout=60.0,
-    )
-
-
 async def status_of(attempt: connect) -> int:
     """101 when it is let in, else the status of the answer."""
     try:
@@ -69,10 +52,6 @@ async def status_of(attempt: connect) -> int:
             return 101
     except InvalidStatus as error:
         return int(error.response.status_code)
-
-
-async def send(connection: ClientConnection, kind: str, **fields: Any) -> None:
-    await connection.send(msgspec.msgpack.encode({"type": kind, **fields}))
 
 
 async def fetch(page: Page, path: str = "/", **headers: str) -> tuple[int, dict[str, str], bytes]:
@@ -160,33 +139,20 @@ async def changes_after(page: Page, token: str, *messages: tuple[str, dict[str, 
     seen: list[Any] = []
     slider = gui.add_slider("exposure", 0.0, 1.0, 0.1, 0.0)
     slider.on_update(page.on_loop(lambda event: seen.append(event.target.value)))
-    button, look = gui.add_button("restart"), gui.add_button("look")
+    button, harmless = gui.add_button("restart"), gui.add_button("harmless")
     button.on_click(page.on_loop(lambda _: seen.append("restart")))
     arrived = asyncio.Event()
-    look.on_click(page.on_loop(lambda _: arrived.set()))
-    page.for_everyone(look)
-    ids = {"slider": slider._impl.uuid, "button": button._impl.uuid, "look": look._impl.uuid}
+    harmless.on_click(page.on_loop(lambda _: arrived.set()))
+    page.for_everyone(harmless)
+    ids = {"slider": slider._impl.uuid, "button": button._impl.uuid, "harmless": harmless._impl.uuid}
     host = f"desk.local:{page.port}"
     async with client(page, f"http://{host}", host="desk.local", cookie=f"rhot_page_{page.port}={token}") as browser:
-        # viser calls a browser connected when it has said where it looks from.
-        await send(
-            browser,
-            "ViewerCameraMessage",
-            wxyz=(1.0, 0.0, 0.0, 0.0),
-            position=(0.0, 0.0, 0.0),
-            fov=1.0,
-            near=0.01,
-            far=100.0,
-            image_height=100,
-            image_width=100,
-            look_at=(0.0, 0.0, 1.0),
-            up_direction=(0.0, -1.0, 0.0),
-        )
+        await look(browser)
         async with asyncio.timeout(60.0):
             await page.looked_at()
         for kind, fields in messages:
             await send(browser, kind, **{name: ids.get(str(value), value) for name, value in fields.items()})
-        await send(browser, "GuiUpdateMessage", uuid=ids["look"], updates={"value": True})
+        await send(browser, "GuiUpdateMessage", uuid=ids["harmless"], updates={"value": True})
         async with asyncio.timeout(60.0):
             await arrived.wait()
     return seen

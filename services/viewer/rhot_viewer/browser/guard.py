@@ -102,7 +102,12 @@ logger = logging.getLogger(__name__)
 _MOST_BROWSERS: Final = 32
 _COOKIE_S: Final = 30 * 24 * 3600
 _LOOKING: Final = frozenset({"ViewerCameraMessage"})
-_CHANGING: Final = _LOOKING | {"GuiUpdateMessage", "SceneNodeClickMessage", "ScenePointerMessage"}
+_CHANGING: Final = _LOOKING | {
+    "CommandTriggerMessage",
+    "GuiUpdateMessage",
+    "SceneNodeClickMessage",
+    "ScenePointerMessage",
+}
 """Messages that our page sends. Others are refused, such as a request to publish the page through a server of viser's
 makers (`ShareUrlRequest`)."""
 _HEADERS: Final = {

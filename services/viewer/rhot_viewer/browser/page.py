@@ -13,6 +13,7 @@ import io
 import logging
 import socket
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
@@ -167,6 +168,13 @@ class Page:
     def on_loop(self, work: Callable[[E], None]) -> Callable[[E], None]:
         """Return a callback for viser that runs `work` on our event loop."""
         return lambda event: self._soon(work, event)
+
+    def with_moment(self, work: Callable[[E, int], None]) -> Callable[[E], None]:
+        """Return such a callback for work that wants to know when the browser's message was here.
+
+        It gets the system clock's nanoseconds, read before it waits for our event loop, which may be drawing.
+        """
+        return lambda event: self._soon(work, event, time.time_ns())
 
     def _soon(self, work: Callable[..., None], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the loop is closed: the process is ending
