@@ -187,7 +187,8 @@ def test_a_marker_seen_by_one_camera_grows_less_sure(make_rig: MakeRig) -> None:
         error = np.array(point.position) - truth
         assert np.hypot(error[0], error[1]) < 0.006
         assert np.linalg.norm(error) < 0.03
-    assert bridged[-1].points["index"].sigma > 2.0 * bridged[0].points["index"].sigma
+    # Less than the filter's own sigma, which doubles: the depth of the rest of the hand bounds what is published.
+    assert bridged[-1].points["index"].sigma > 1.8 * bridged[0].points["index"].sigma
 
 
 @pytest.mark.xfail(strict=True, reason="0.1 s after, the gate has grown to the neighbour's place: 31 mm off, measured")

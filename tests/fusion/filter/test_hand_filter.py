@@ -68,7 +68,7 @@ def run(
                 hand.begin(marker, mean, start, t_s)
                 first = from_views([View(CAMERAS[c], t_s, xy[marker], variance[0, 0])] * 1, t_s, np.zeros(3), 0.5)
                 assert first is None, "one ray is no place"
-                ray = on_ray(View(CAMERAS[c], t_s, xy[marker], variance[0, 0]), mean[:3], np.zeros(3), 0.001, 0.5)
+                ray = on_ray(View(CAMERAS[c], t_s, xy[marker], variance[0, 0]), mean[:3], 0.0, 0.001, np.zeros(3), 0.5)
                 events.append(Event(t_s, marker, ray))
         else:
             hand.step(t_s, views)

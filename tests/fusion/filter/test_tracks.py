@@ -8,10 +8,9 @@ from hands.pinholes import CAMERAS
 
 from rhot.types import Vector3
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.filter.tracks import CALIBRATED, outcome_of, within_hand
+from rhot_fusion.filter.tracks import BEHIND_M, BEHIND_SIGMA_M, CALIBRATED, outcome_of, within_hand
 from rhot_fusion.views.sightings import Upper
 
-EXTENT_M = 0.037
 LONG: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 0.08**2)
 SHARP: Upper = (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
 BOTH, ONE, NONE = [True, True], [True, False], [False, False]
@@ -21,16 +20,16 @@ def published(shown: list[list[bool]]) -> tuple[list[Vector3], list[Upper]]:
     """Return two markers 0.8 m away, and a third that is 1 m away for all that its filter knows."""
     places: list[Vector3] = [(0.05, 0.0, 0.79), (-0.05, 0.0, 0.81), (0.0, 0.0, 1.0)]
     covariances = [SHARP, SHARP, LONG]
-    within_hand(places, covariances, [0, 1, 2], shown, (0.0, 0.0, 0.0), EXTENT_M)
+    within_hand(places, covariances, [0, 1, 2], shown, (0.0, 0.0, 0.0))
     return places, covariances
 
 
 def test_a_marker_of_one_camera_gets_the_depth_of_its_hand() -> None:
     places, covariances = published([BOTH, BOTH, ONE])
-    # The mean of 1.0 with 80 mm and of 0.8 with 37 mm and the error of a middle of two.
-    prior = 1.5 * EXTENT_M**2
+    # The mean of 1.0 with 80 mm, and of 0.8 and what it lies behind, with its spread and the error of a middle of two.
+    prior = 1.5 * BEHIND_SIGMA_M**2
     share = LONG[5] / (LONG[5] + prior)
-    assert places[2] == pytest.approx((0.0, 0.0, 1.0 - 0.2 * share))
+    assert places[2] == pytest.approx((0.0, 0.0, 1.0 - (0.2 - BEHIND_M) * share))
     assert covariances[2][5] == pytest.approx(LONG[5] * prior / (LONG[5] + prior))
     assert covariances[2][:5] == pytest.approx(LONG[:5])
     assert places[:2] == [(0.05, 0.0, 0.79), (-0.05, 0.0, 0.81)]
@@ -43,7 +42,7 @@ def test_off_the_axis_it_moves_along_its_ray() -> None:
     xx, xy, xz, yy, yz, zz = P[np.triu_indices(3)].tolist()
     places: list[Vector3] = [(0.25, -0.17, 0.75), (0.3, -0.2, 0.9)]
     covariances: list[Upper] = [SHARP, (xx, xy, xz, yy, yz, zz)]
-    within_hand(places, covariances, [0, 1], [BOTH, ONE], (0.0, 0.0, 0.0), EXTENT_M)
+    within_hand(places, covariances, [0, 1], [BOTH, ONE], (0.0, 0.0, 0.0))
     moved = np.array(places[1]) - sight
     assert np.linalg.norm(np.cross(moved, ray)) < 1e-6
     assert moved @ ray < -0.05

@@ -21,6 +21,7 @@ from rhot_fusion.filter.initialisation import InitialState, View, from_views, on
 from rhot_fusion.filter.joint import JointFilter
 from rhot_fusion.filter.smoothing.record import HandRecord
 from rhot_fusion.filter.tracks import (
+    BEHIND_M,
     GATE,
     LOOSE_M,
     LOST_M,
@@ -254,7 +255,7 @@ class Acquisition:
             gap_s = LOST_PERIODS * self._schedule.longest_period_s
             if track.see_alone(t_s, gap_s):
                 middle = positions.mean(axis=0)
-                ray = on_ray(near[camera], middle, velocity, RAY_SIGMA_M, SPEED_SIGMA)
+                ray = on_ray(near[camera], middle, BEHIND_M, RAY_SIGMA_M, velocity, SPEED_SIGMA)
                 # Greatest distance from the centroid of its hand at which a marker is initialised
                 # from one camera, metres; a hand's length.
                 if np.linalg.norm(ray.mean[:3] - middle) <= 0.2:

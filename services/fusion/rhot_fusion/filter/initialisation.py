@@ -101,10 +101,20 @@ def from_views(views: Sequence[View], t_s: float, velocity: FloatArray, speed_si
     return InitialState(mean, 0.5 * (covariance + covariance.T), misfit)
 
 
-def on_ray(view: View, at: FloatArray, velocity: FloatArray, along_m: float, speed_sigma: float) -> InitialState:
-    """Return the state of a marker seen by one camera: on its viewing ray, at the depth of a point (3,) ± `along_m`."""
+def on_ray(
+    view: View, at: FloatArray, behind_m: float, along_m: float, velocity: FloatArray, speed_sigma: float
+) -> InitialState:
+    """Return the state of a marker seen by one camera: on its viewing ray, `behind_m` ± `along_m` deeper than a point.
+
+    Args:
+        view: the only one.
+        at: (3,) the point, metres, rig frame.
+        behind_m, along_m: as above.
+        velocity: (3,) expected, metres per second.
+        speed_sigma: standard deviation of each of its components.
+    """
     R, camera = view.camera.R_camera_rig, view.camera
-    depth = max(float((R @ at + camera.t_camera_rig)[2]), _NEAREST_M)
+    depth = max(float((R @ at + camera.t_camera_rig)[2]) + behind_m, _NEAREST_M)
     ray = np.append(view.xy, 1.0) @ R
     mean = np.concatenate([camera.center + depth * ray, velocity])
     covariance = np.zeros((6, 6))

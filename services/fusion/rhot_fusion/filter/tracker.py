@@ -228,9 +228,7 @@ class FilterTracker:
                 if track.status is TrackStatus.CONFIRMED:
                     position[marker], covariance[marker], shown[marker] = point, own, track.views(since_s)
             known = [marker for marker in hand.markers if self.tracks[marker].status is TrackStatus.CONFIRMED]
-            # Standard deviation of a marker's depth about the centroid of its hand, metres: fingertips
-            # seen by one camera are 0.026 behind it, plus or minus 0.027 (15 develop rigs).
-            within_hand(position, covariance, known, shown, self._middle, 0.037)
+            within_hand(position, covariance, known, shown, self._middle)
             for marker in known:
                 xx, _, _, yy, _, zz = covariance[marker]
                 if xx + yy + zz > LOST_M**2:
@@ -253,7 +251,7 @@ class FilterTracker:
                 correct = PaintCorrection(*columns)
                 every.append((hand.index, hand.record.smoothed(variance_of, self._settings, correct)))
         rest = self._systematic, self._settings, self.noise.pair_variance
-        return outcomes(every, self._count, periods_s, *rest) if every else []
+        return outcomes(every, self._count, periods_s, *rest, self._middle) if every else []
 
     def _fresh_s(self) -> list[float]:
         """Return for how long each camera's newest frame (C,) is fresh, seconds."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
@@ -9,11 +10,12 @@ import numpy as np
 
 from rhot.arrays import FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
+from rhot.types import Vector3
 from rhot_fusion.filter.initialisation import InitialState
 from rhot_fusion.filter.smoothing.smoother import Correct, Event, Node, RecordedFrame, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import Systematic
-from rhot_fusion.filter.tracks import TrackSettings, outcome_of
+from rhot_fusion.filter.tracks import TrackSettings, outcome_of, within_hand
 from rhot_fusion.views.sightings import NOTHING, NOWHERE, Outcome, Sightings
 
 _UPPER = np.triu_indices(3)
@@ -106,6 +108,7 @@ def outcomes(
     systematic: Systematic,
     settings: TrackSettings,
     pair_variance: float,
+    eye: Vector3,
 ) -> list[Outcome]:
     """Return the markers at the times of all frames.
 
@@ -116,6 +119,7 @@ def outcomes(
         systematic: systematic errors.
         settings: of the tracks.
         pair_variance: as in `CameraNoise`.
+        eye: centroid of the cameras, metres.
     """
     first = every[0][1]
     around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
@@ -130,6 +134,10 @@ def outcomes(
                 position[marker], covariance[marker], hidden_m2[marker] = where, upper, hidden
             for camera, sides in enumerate(around):
                 seen[camera, index] = _shown(nodes, k, sides[k], _NEAR * periods_s[camera])
+        shown = seen.T.tolist()
+        for index, _ in every:
+            known = [marker for marker in index.tolist() if not math.isnan(position[marker][0])]
+            within_hand(position, covariance, known, shown, eye)
         rest = systematic, settings, pair_variance, hidden_m2
         found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), *rest))
     return found
