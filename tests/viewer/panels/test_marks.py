@@ -31,7 +31,7 @@ async def page() -> AsyncIterator[Page]:
 
 
 async def marked(page: Page, router: BusConfig, token: str, count: int) -> tuple[list[Event], Marks]:
-    """The events after keys 2, 9 (which has no label), new labels, key 1, and a click on the second, oddly spelt one."""
+    """The events after keys 2, 9 (which has no label), new labels, key 1, a click on the second, oddly spelt one."""
     marks = Marks(page)
     marks.build(page.server.gui)
     host = f"desk.local:{page.port}"
