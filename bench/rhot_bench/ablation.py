@@ -87,6 +87,7 @@ TERMS: Final[Mapping[str, Change]] = {
     "paint cut off by the border": ((_PAINT, "_CUT", 0.0),),
     "reappearing paint": ((_PAINT, "_APPEARING", 0.0),),
     "slivers of paint": ((_PAINT, "_SLIVER_DOUBT", 0.0),),
+    "skin on opposite sides of the paint": ((_PAINT, "_OPPOSITE", 0.0),),
     "paint hidden from all cameras": ((_PAINT, "_HIDDEN", 0.0),),
     "error of the calibration": (("rhot_fusion.filter.systematic", "CALIBRATION_DOUBT", 0.0),),
     "error of the paint model": (("rhot_fusion.filter.systematic", "_SHAPE", 0.0),),

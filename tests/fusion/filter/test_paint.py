@@ -206,3 +206,25 @@ def test_of_a_small_rest_cameras_see_different_parts() -> None:
         doubts.append(float(doubt[0]))
     assert doubts[0] < 1e-4
     assert doubts[0] <= doubts[1] < doubts[2] < doubts[3]
+
+
+@pytest.mark.parametrize(("skin", "moved"), [((-0.2, 0.2), True), ((0.2, 0.2), False), ((0.0, 0.0), False)])
+def test_a_gap_that_shows_either_camera_another_side_becomes_no_depth(skin: tuple[float, float], moved: bool) -> None:
+    """Of a tip that was whole both see 0.3, of which each lies beside skin: on opposite sides only behind a gap."""
+    paint, radius_m = Paint(CAMERAS, np.full(1, 0.0065)), 0.0065
+    shifts, doubts = [np.zeros((1, 2))] * 2, [np.zeros(1)] * 2
+    for number in range(40):
+        for camera in (0, 1):
+            area, side = (100.0, 0.0) if number < 20 else (30.0, skin[camera])
+            shifts[camera], doubts[camera] = paint.correct(
+                camera, [0], number / 60.0, [area], [0.8], 1.0 / 60.0, [True], skin=np.array([[side, 0.0]])
+            )
+    width = 2.0 * radius_m / 0.8
+    apart = shifts[1][0, 0] - shifts[0][0, 0]
+    if moved:
+        # 1.5 (1 − 0.3 / 0.7) of the width for each unit of the difference, of which noise takes a quarter.
+        assert 0.2 * width < apart < 0.34 * width
+        assert shifts[0][0, 0] == pytest.approx(-shifts[1][0, 0], rel=0.01)
+        assert doubts[0][0] > abs(shifts[0][0, 0])
+    else:
+        assert apart == pytest.approx(0.0, abs=1e-9)

@@ -119,6 +119,22 @@ class SkinSides:
                 x, y, z = x + keep * (old_x - x), y + keep * (old_y - y), z + keep * (old_z - z)
             cameras[camera] = t_s, x, y, z
 
+    def apart(self, camera: int, marker: int, t_s: float) -> tuple[float, float]:
+        """Return how a camera's own mean vector to adjoining skin differs from that of all cameras, in its image.
+
+        (0, 0) where it or every other camera has none.
+        """
+        own, since_s = self._seen[marker][camera], t_s - _SKIN_LASTS_S
+        if own is None or own[0] <= since_s:
+            return 0.0, 0.0
+        count, x, y, z = 0, 0.0, 0.0, 0.0
+        for seen in self._seen[marker]:
+            if seen is not None and seen[0] > since_s:
+                count, x, y, z = count + 1, x + seen[1], y + seen[2], z + seen[3]
+        away = own[1] - x / count, own[2] - y / count, own[3] - z / count
+        right, down, _ = self._axes[camera]
+        return dot(right, away), dot(down, away)
+
     def direction(self, camera: int, marker: int, t_s: float) -> Vector3 | None:
         """Return the direction of the finger in a camera's frame, away from the skin, as a unit vector.
 
