@@ -15,6 +15,8 @@ import struct
 import subprocess
 import sys
 import tempfile
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -42,6 +44,28 @@ def become_drawing_child() -> None:
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
+
+
+def first_request(size: int) -> Callable[[], bytes]:
+    """Wait for the first request, of at most `size` bytes, while the rest of this process loads; returns what gives it.
+
+    Loading takes half a second. A parent that is gone meanwhile ends this process at once.
+    """
+    came: list[bytes] = []
+
+    def wait() -> None:
+        came.append(os.read(sys.stdin.fileno(), size))
+        if not came[0]:
+            os._exit(0)
+
+    waiting = threading.Thread(target=wait, name="first request", daemon=True)
+    waiting.start()
+
+    def first() -> bytes:
+        waiting.join()
+        return came[0]
+
+    return first
 
 
 def keep_out_of_the_way() -> None:
@@ -170,6 +194,7 @@ def _ring(file: int, width: int, height: int) -> ImageArray:
 
 def serve(rig_path: Path, camera: str, path: str) -> None:
     """Render whatever standard input asks for until it closes."""
+    first = first_request(BATCH * _REQUEST.size)
     file = os.open(path, os.O_RDWR)
     # Imported here: the parent needs none of it.
     from rhot_sim.rendering.renderer import Renderer  # noqa: PLC0415
@@ -186,17 +211,18 @@ def serve(rig_path: Path, camera: str, path: str) -> None:
     number = 0
     with contextlib.suppress(BrokenPipeError):
         _say_done()
-        while requests := _requests():
+        requests = _requests(first())
+        while requests:
             slots = [ring[(number + place) % AHEAD] for place in range(len(requests))]
             for _ in renderer.render_all(requests, slots):
                 _say_done()
             number += len(requests)
+            # A pipe hands over whole requests: each batch is written at once, and is smaller than what a pipe never
+            # cuts. None when nobody will ask any more.
+            requests = _requests(os.read(sys.stdin.fileno(), BATCH * _REQUEST.size))
 
 
-def _requests() -> list[float]:
-    """Wait for requests, and return those that are there, a batch at most; none when nobody will ask any more."""
-    # A pipe hands over whole requests: each batch is written at once, and is smaller than what a pipe never cuts.
-    asked = os.read(sys.stdin.fileno(), BATCH * _REQUEST.size)
+def _requests(asked: bytes) -> list[float]:
     return [t_s for (t_s,) in _REQUEST.iter_unpack(asked[: len(asked) // _REQUEST.size * _REQUEST.size])]
 
 
