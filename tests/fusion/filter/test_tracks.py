@@ -20,7 +20,7 @@ def published(shown: list[list[bool]]) -> tuple[list[Vector3], list[Upper]]:
     """Return two markers 0.8 m away, and a third that is 1 m away for all that its filter knows."""
     places: list[Vector3] = [(0.05, 0.0, 0.79), (-0.05, 0.0, 0.81), (0.0, 0.0, 1.0)]
     covariances = [SHARP, SHARP, LONG]
-    within_hand(places, covariances, [0, 1, 2], shown, (0.0, 0.0, 0.0))
+    within_hand(places, covariances, [0, 1, 2], shown, (0.0, 0.0, 0.0), -1)
     return places, covariances
 
 
@@ -35,6 +35,16 @@ def test_a_marker_of_one_camera_gets_the_depth_of_its_hand() -> None:
     assert places[:2] == [(0.05, 0.0, 0.79), (-0.05, 0.0, 0.81)]
 
 
+def test_the_patch_lies_behind_nothing() -> None:
+    places: list[Vector3] = [(0.05, 0.0, 0.8), (0.0, 0.0, 0.8)]
+    covariances = [SHARP, LONG]
+    within_hand(places, covariances, [0, 1], [BOTH, ONE], (0.0, 0.0, 0.0), 1)
+    assert places[1][2] == pytest.approx(0.8)
+    places[1] = (0.0, 0.0, 0.8)
+    within_hand(places, [SHARP, LONG], [0, 1], [BOTH, ONE], (0.0, 0.0, 0.0), -1)
+    assert places[1][2] > 0.83
+
+
 def test_off_the_axis_it_moves_along_its_ray() -> None:
     sight = np.array([0.3, -0.2, 0.9])
     ray = sight / np.linalg.norm(sight)
@@ -42,7 +52,7 @@ def test_off_the_axis_it_moves_along_its_ray() -> None:
     xx, xy, xz, yy, yz, zz = P[np.triu_indices(3)].tolist()
     places: list[Vector3] = [(0.25, -0.17, 0.75), (0.3, -0.2, 0.9)]
     covariances: list[Upper] = [SHARP, (xx, xy, xz, yy, yz, zz)]
-    within_hand(places, covariances, [0, 1], [BOTH, ONE], (0.0, 0.0, 0.0))
+    within_hand(places, covariances, [0, 1], [BOTH, ONE], (0.0, 0.0, 0.0), -1)
     moved = np.array(places[1]) - sight
     assert np.linalg.norm(np.cross(moved, ray)) < 1e-6
     assert moved @ ray < -0.05

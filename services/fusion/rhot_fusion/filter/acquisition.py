@@ -154,6 +154,11 @@ class TrackedHand:
     filter: JointFilter
     record: HandRecord | None
 
+    @property
+    def patch(self) -> int:
+        """Index of the patch among all markers; −1 = none."""
+        return self.markers[self.base] if self.base >= 0 else -1
+
     def of(self, sightings: Sightings, *, alone: bool) -> Sightings:
         """Return a frame's views of this hand; `alone` = it is the only hand of the rig."""
         return sightings if alone else sightings.chosen(np.isin(sightings.index, self.index))
@@ -255,7 +260,8 @@ class Acquisition:
             gap_s = LOST_PERIODS * self._schedule.longest_period_s
             if track.see_alone(t_s, gap_s):
                 middle = positions.mean(axis=0)
-                ray = on_ray(near[camera], middle, BEHIND_M, RAY_SIGMA_M, velocity, SPEED_SIGMA)
+                behind_m = 0.0 if marker == hand.patch else BEHIND_M
+                ray = on_ray(near[camera], middle, behind_m, RAY_SIGMA_M, velocity, SPEED_SIGMA)
                 # Greatest distance from the centroid of its hand at which a marker is initialised
                 # from one camera, metres; a hand's length.
                 if np.linalg.norm(ray.mean[:3] - middle) <= 0.2:

@@ -228,7 +228,7 @@ class FilterTracker:
                 if track.status is TrackStatus.CONFIRMED:
                     position[marker], covariance[marker], shown[marker] = point, own, track.views(since_s)
             known = [marker for marker in hand.markers if self.tracks[marker].status is TrackStatus.CONFIRMED]
-            within_hand(position, covariance, known, shown, self._middle)
+            within_hand(position, covariance, known, shown, self._middle, hand.patch)
             for marker in known:
                 xx, _, _, yy, _, zz = covariance[marker]
                 if xx + yy + zz > LOST_M**2:
@@ -249,7 +249,7 @@ class FilterTracker:
                 paint, variance_of = Paint(self._cameras, self._radii), self.noise.variance
                 columns = hand, self._cameras, paint, variance_of, periods_s, loose_m, self._time_variance
                 correct = PaintCorrection(*columns)
-                every.append((hand.index, hand.record.smoothed(variance_of, self._settings, correct)))
+                every.append((hand.index, hand.patch, hand.record.smoothed(variance_of, self._settings, correct)))
         rest = self._systematic, self._settings, self.noise.pair_variance
         return outcomes(every, self._count, periods_s, *rest, self._middle) if every else []
 

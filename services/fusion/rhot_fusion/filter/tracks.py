@@ -165,6 +165,7 @@ def within_hand(
     markers: Sequence[int],
     shown: Sequence[Sequence[bool]],
     eye: Vector3,
+    patch: int,
 ) -> None:
     """Constrain the depth of markers seen by one camera with the hand's markers seen by two.
 
@@ -177,6 +178,7 @@ def within_hand(
         markers: confirmed markers of the hand.
         shown: (M,) which cameras see each.
         eye: centroid of the cameras, metres.
+        patch: the marker on the back of the hand, which lies behind nothing; −1 = none.
     """
     fixed = [position[marker] for marker in markers if sum(shown[marker]) >= 2]
     if not fixed or len(fixed) == len(markers):
@@ -190,7 +192,8 @@ def within_hand(
         x, y, z = unit((px - eye[0], py - eye[1], pz - eye[2]))
         a, b, c = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
         gain = 1.0 / (a * x + b * y + c * z + variance)
-        off = gain * ((middle[0] - px) * x + (middle[1] - py) * y + (middle[2] - pz) * z + BEHIND_M)
+        behind_m = 0.0 if marker == patch else BEHIND_M
+        off = gain * ((middle[0] - px) * x + (middle[1] - py) * y + (middle[2] - pz) * z + behind_m)
         position[marker] = px + off * a, py + off * b, pz + off * c
         less = gain * a * a, gain * a * b, gain * a * c, gain * b * b, gain * b * c, gain * c * c
         xx, xy, xz, yy, yz, zz = (own - known for own, known in zip(covariance[marker], less, strict=True))

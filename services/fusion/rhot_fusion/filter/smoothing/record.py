@@ -102,7 +102,7 @@ class HandRecord:
 
 
 def outcomes(
-    every: Sequence[tuple[IndexArray, list[Node]]],
+    every: Sequence[tuple[IndexArray, int, list[Node]]],
     markers: int,
     periods_s: Sequence[float],
     systematic: Systematic,
@@ -113,7 +113,8 @@ def outcomes(
     """Return the markers at the times of all frames.
 
     Args:
-        every: per hand, the indices (H,) of its markers and its nodes; the same frames for all hands.
+        every: per hand, the indices (H,) of its markers, that of its patch (−1 = none), and its nodes; the same frames
+            for all hands.
         markers: number of markers.
         periods_s: frame period of each camera.
         systematic: systematic errors.
@@ -121,13 +122,13 @@ def outcomes(
         pair_variance: as in `CameraNoise`.
         eye: centroid of the cameras, metres.
     """
-    first = every[0][1]
+    first = every[0][2]
     around = [_around(camera, first, period_s) for camera, period_s in enumerate(periods_s)]
     found = []
     for k, node in enumerate(first):
         position, covariance, hidden_m2 = [NOWHERE] * markers, [NOTHING] * markers, [0.0] * markers
         seen = np.zeros((len(periods_s), markers), dtype=bool)
-        for index, nodes in every:
+        for index, _, nodes in every:
             own = nodes[k].covariance[:, _UPPER[0], _UPPER[1]].tolist()
             columns = nodes[k].position.tolist(), own, nodes[k].hidden_m2.tolist()
             for marker, where, upper, hidden in zip(index.tolist(), *columns, strict=True):
@@ -135,9 +136,9 @@ def outcomes(
             for camera, sides in enumerate(around):
                 seen[camera, index] = _shown(nodes, k, sides[k], _NEAR * periods_s[camera])
         shown = seen.T.tolist()
-        for index, _ in every:
+        for index, patch, _ in every:
             known = [marker for marker in index.tolist() if not math.isnan(position[marker][0])]
-            within_hand(position, covariance, known, shown, eye)
+            within_hand(position, covariance, known, shown, eye, patch)
         rest = systematic, settings, pair_variance, hidden_m2
         found.append(outcome_of(node.t_s, position, covariance, seen.tolist(), *rest))
     return found
