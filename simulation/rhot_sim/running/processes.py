@@ -142,7 +142,7 @@ class WatchedRun(ABC):
             controls = bus.events(CONTROL_KEY)
             control = await broadcast(bus, "start", "sim", _START_DELAY_S, wait_s=5.0)
             self._start_at(control)
-            following = tasks.create_task(self._follow_starts(controls, console))
+            following = tasks.create_task(self._follow_starts(control, controls, console))
             if live:
                 with Live(console=console, auto_refresh=False) as display:
                     await self._show(bus, console, display)
@@ -157,10 +157,11 @@ class WatchedRun(ABC):
             # Of whichever session: the page and `rhot start` begin others.
             await broadcast(bus, "stop", "", 0.0, wait_s=5.0)
 
-    async def _follow_starts(self, controls: EventSubscriber, console: Console) -> None:
-        """Start over with each session that somebody else begins: its world begins anew, too."""
+    async def _follow_starts(self, newest: Control, controls: EventSubscriber, console: Console) -> None:
+        """Start over with each session that somebody begins after `newest`: its world begins anew, too."""
         async for _, control in controls.messages(Control):
-            if control.action == "start" and control.start_t_ns != self._start_t_ns:
+            if control.action == "start" and (control.revision, control.t_ns) > (newest.revision, newest.t_ns):
+                newest = control
                 self._rig = latest_rig(self._rig)
                 self._begin(self._rig)
                 self._start_at(control)

@@ -63,6 +63,8 @@ TimeArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 _MM: Final = 1e3
 _SIGMAS: Final = 2.0
 """Standard deviations within which 95 of 100 errors lie."""
+_SIGMAS_IN_SPACE: Final = 2.8
+"""The same for the length of an error in space (chi-square, three degrees of freedom); a drift is such a length."""
 _LATEST_NS: Final = 50_000_000
 """Points and poses further apart belong to different moments."""
 _PHASES: Final = ("reach", "close", "carry", "release")
@@ -194,7 +196,7 @@ def drift_figure(session: GraspSession, found: GraspFigures, doubt: tuple[TimeAr
     times, doubt_m = doubt
     within = (times >= session.t_ns[carry.start]) & (times <= session.t_ns[carry.stop - 1])
     told = doubt_m[within & np.isfinite(doubt_m)]
-    reach = _SIGMAS * float(np.median(told)) if 2 * len(told) > within.sum() else float("nan")
+    reach = _SIGMAS_IN_SPACE * float(np.median(told)) if 2 * len(told) > within.sum() else float("nan")
     return Figure(value, value - min(reach, value), value + reach, float(len(found.pickups)), carry.stop - carry.start)
 
 
