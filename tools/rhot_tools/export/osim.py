@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from rhot.anatomy.hand import METACARPALS, MOVING, PALM, WRIST
-from rhot.anatomy.skeleton import FINGERS, JOINTS, angle_name
+from rhot.anatomy.skeleton import FINGER_ANGLES, FINGERS, JOINTS, angle_name
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import rotation_x, rotation_y
@@ -94,10 +94,7 @@ class _Hand:
     def _finger(self, finger: str, row: list[int], wrist: str) -> None:
         """Write one finger: `row` holds its knuckle, two hinges and tip."""
         bones = np.linalg.norm(np.diff(self._positions[row], axis=0), axis=-1)
-        first, abduction, *hinges = (
-            f"{self._name}_{angle_name(finger, angle)}"
-            for angle in ("mcp_flexion", "mcp_abduction", "pip_flexion", "dip_flexion")
-        )
+        first, abduction, *hinges = (f"{self._name}_{angle_name(finger, angle)}" for angle in FINGER_ANGLES)
         knuckle = f"{self._name}_{JOINTS[row[0]]}"
         turns = [(abduction, self._handedness * _Y), (first, -_X)]
         self._joint(knuckle, f"/bodyset/{wrist}", self._positions[row[0]], self._rest(finger, row[0]), turns)

@@ -170,9 +170,8 @@ class Paint:
         middle = np.stack([camera.center for camera in cameras]).mean(axis=0)
         # Centroid of the cameras in each camera's frame, and the direction away from it in the image.
         self._middle: list[Vector3] = [vector(camera.to_camera(middle[None])[0]) for camera in cameras]
-        self._away: FloatArray = np.array([[-x, -y] for x, y, _ in self._middle])
-        self._away /= np.maximum(np.hypot(*self._away.T), 1e-9)[:, None]
-        self._away_of: list[list[float]] = self._away.tolist()
+        away = np.array([[-x, -y] for x, y, _ in self._middle])
+        self._away: list[list[float]] = (away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]).tolist()
         self._cameras = range(len(cameras))
         self.clear()
 
@@ -279,7 +278,7 @@ class Paint:
             doubts.append(doubt)
         # The error is correlated over `_LASTS_S`: all views within it carry the information of one.
         alike = math.sqrt(max(1.0, _LASTS_S / period_s))
-        shifts = np.array(sizes)[:, None] * self._away[camera]
+        shifts = np.outer(sizes, self._away[camera])
         if border is not None:
             self._complete(markers, depths_m, border.tolist(), shifts, doubts)
         return shifts, alike * np.array(doubts)
@@ -359,7 +358,7 @@ class Paint:
         """
         if share >= _WHOLE:
             return 0.0
-        (u, v), (x, y) = self._skin.apart(camera, marker, t_s), self._away_of[camera]
+        (u, v), (x, y) = self._skin.apart(camera, marker, t_s), self._away[camera]
         side = u * x + v * y
         # As for the areas: what is well above the noise counts entirely.
         side *= side * side / (side * side + _SIDE_NOISE * _SIDE_NOISE)

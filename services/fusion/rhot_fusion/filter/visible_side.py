@@ -119,18 +119,23 @@ class SkinSides:
                 x, y, z = x + keep * (old_x - x), y + keep * (old_y - y), z + keep * (old_z - z)
             cameras[camera] = t_s, x, y, z
 
+    def _sum(self, marker: int, t_s: float) -> tuple[int, Vector3]:
+        """Return how many cameras saw a marker shortly before or at a time, and the sum of their vectors to skin."""
+        since_s, count, x, y, z = t_s - _SKIN_LASTS_S, 0, 0.0, 0.0, 0.0
+        for seen in self._seen[marker]:
+            if seen is not None and seen[0] > since_s:
+                count, x, y, z = count + 1, x + seen[1], y + seen[2], z + seen[3]
+        return count, (x, y, z)
+
     def apart(self, camera: int, marker: int, t_s: float) -> tuple[float, float]:
         """Return how a camera's own mean vector to adjoining skin differs from that of all cameras, in its image.
 
         (0, 0) where it or every other camera has none.
         """
-        own, since_s = self._seen[marker][camera], t_s - _SKIN_LASTS_S
-        if own is None or own[0] <= since_s:
+        own = self._seen[marker][camera]
+        if own is None or own[0] <= t_s - _SKIN_LASTS_S:
             return 0.0, 0.0
-        count, x, y, z = 0, 0.0, 0.0, 0.0
-        for seen in self._seen[marker]:
-            if seen is not None and seen[0] > since_s:
-                count, x, y, z = count + 1, x + seen[1], y + seen[2], z + seen[3]
+        count, (x, y, z) = self._sum(marker, t_s)
         away = own[1] - x / count, own[2] - y / count, own[3] - z / count
         right, down, _ = self._axes[camera]
         return dot(right, away), dot(down, away)
@@ -141,14 +146,11 @@ class SkinSides:
         It is the mean over all cameras that saw the marker shortly before or at a time, which makes it the same for
         all, so that its error changes the depth only little. None = no camera sees skin on one side of it.
         """
-        since_s, count, x, y, z = t_s - _SKIN_LASTS_S, 0, 0.0, 0.0, 0.0
-        for seen in self._seen[marker]:
-            if seen is not None and seen[0] > since_s:
-                count, x, y, z = count + 1, x - seen[1], y - seen[2], z - seen[3]
+        count, (x, y, z) = self._sum(marker, t_s)
         length = math.sqrt(x * x + y * y + z * z)
         if count == 0 or length < _LEAST_SKIN * count:
             return None
-        away = x / length, y / length, z / length
+        away = -x / length, -y / length, -z / length
         right, down, forward = self._axes[camera]
         return dot(right, away), dot(down, away), dot(forward, away)
 

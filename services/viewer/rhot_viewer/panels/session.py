@@ -162,9 +162,8 @@ class Marks:
                 self._said = _TEXT.format(color="inherit", text=escape(f"marked at {when}: {event.label}"))
 
     def _rename(self) -> None:
-        self._known = _labels(self._text.value)
-        self._buttons.options = self._known
-        for command, label in zip_longest(self._commands, self._known):
+        self._buttons.options = labels = _labels(self._text.value)
+        for command, label in zip_longest(self._commands, labels):
             command.disabled, command.label = label is None, f"mark {label or 'nothing'}"
 
     def _clicked(self, event: viser.GuiEvent[Any], at_ns: int) -> None:
@@ -172,8 +171,9 @@ class Marks:
 
     def _key(self, number: int) -> Callable[[object, int], None]:
         def pressed(_: object, at_ns: int) -> None:
-            if number < len(self._known):
-                self._pressed.put_nowait((self._known[number], at_ns))
+            labels = self._buttons.options
+            if number < len(labels):
+                self._pressed.put_nowait((labels[number], at_ns))
 
         return pressed
 
