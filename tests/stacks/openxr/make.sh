@@ -11,4 +11,7 @@ mmdebstrap --quiet --variant=apt '--aptopt=Acquire::Languages "none"' '--dpkgopt
     trixie "$folder"
 # Without what they depend on: on Linux pyopenxr only looks at pyopengl's names.
 "$pip" install --quiet --disable-pip-version-check --no-deps --target "$folder/opt/py" pyopenxr pyopengl
+# For the root's Python, which is newer than the one that may run this.
+"$pip" install --quiet --disable-pip-version-check --no-deps --python-version 3.13 --only-binary :all: \
+    --target "$folder/opt/isaac" isaacteleop || echo "no Isaac Teleop for this machine" >&2
 touch "$folder/.ready"

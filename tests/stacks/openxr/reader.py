@@ -1,7 +1,8 @@
 """An OpenXR program with hands, on the loader and a runtime without display; it knows nothing of who tracks them.
 
 Usage: reader.py [--no-hands]. Says what it found, then answers each line of standard input, both as JSON:
-`{"do": "locate", "side": …, "space": …, "ahead_ms": …}`, `{"do": "time", "space": …, "calls": …}`, `{"do": "bad"}`.
+`{"do": "locate", "side": …, "space": …, "ahead_ms": …}`, `{"do": "follow", "side": …, "seconds": …}`,
+`{"do": "time", "space": …, "calls": …}`, `{"do": "bad"}`.
 """
 
 from __future__ import annotations
@@ -118,6 +119,21 @@ class Program:
             "aim": [int(self.aim.status), self.aim.pinch_strength_index],
         }
 
+    def follow(self, side: str, seconds: float) -> dict[str, list[int]]:
+        """Return when samples of a hand came, monotonic: at one and the same time joints move only with a new one."""
+        end, came = time.monotonic() + seconds, []
+        out, tracker = ctypes.byref(self.out), self.trackers[side]
+        while time.monotonic() < end:
+            at = self.xr_time(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+            info = ctypes.byref(xr.HandJointsLocateInfoEXT(base_space=self.spaces["STAGE"], time=at))
+            self.locate_joints(tracker, info, out)
+            before = bytes(self.joints)
+            while bytes(self.joints) == before and time.monotonic() < end:
+                time.sleep(0.0002)
+                self.locate_joints(tracker, info, out)
+            came.append(time.monotonic_ns())
+        return {"came_ns": came[:-1]}
+
     def timed(self, space: str, calls: int) -> dict[str, float]:
         now = self.xr_time(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
         info = ctypes.byref(xr.HandJointsLocateInfoEXT(base_space=self.spaces[space], time=now))
@@ -184,8 +200,12 @@ def main() -> None:
     say(said)
     for line in sys.stdin:
         request = json.loads(line)
-        do: Any = {"locate": program.locate, "time": program.timed, "bad": program.bad}[request.pop("do")]
-        say(do(**request))
+        do = request.pop("do")
+        say(
+            {"locate": program.locate, "follow": program.follow, "time": program.timed, "bad": program.bad}[do](
+                **request
+            )
+        )
     xr.destroy_session(program.session)
     xr.destroy_instance(program.instance)
 
