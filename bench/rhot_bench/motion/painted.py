@@ -148,13 +148,14 @@ class Surface:
     centre: FloatArray
 
 
-def cap_surface(length_m: float, tip_radius_m: float, rear_radius_m: float) -> Surface:
+def cap_surface(length_m: float, tip_radius_m: float, rear_radius_m: float, bare_m: float = 0.0) -> Surface:
     """Return a painted cap; origin at the very tip, z backwards along the bone, axes of rotation alike.
 
     Args:
         length_m: painted, from the very tip.
         tip_radius_m: of the half ball.
         rear_radius_m: of the finger where the paint ends.
+        bare_m: from the very tip without paint, less than the ball's radius.
     """
     around = (np.arange(_AROUND) + 0.5) * (2.0 * np.pi / _AROUND)
     ring = np.column_stack([np.cos(around), np.sin(around), np.zeros(_AROUND)])
@@ -175,8 +176,13 @@ def cap_surface(length_m: float, tip_radius_m: float, rear_radius_m: float) -> S
     points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
     ball, mean = 2.0 / 3.0 * tip_radius_m**3, 0.5 * (tip_radius_m + rear_radius_m)
     cone = mean**2 * straight
-    behind = (ball * 0.625 * tip_radius_m + cone * (tip_radius_m + 0.5 * straight)) / (ball + cone)
-    return Surface(points, normals, areas, np.array([0.0, 0.0, behind]))
+    # A segment of the ball, and its volume times the distance from the tip, both over pi.
+    bare = bare_m**2 * (tip_radius_m - bare_m / 3.0)
+    bare_moment = bare_m**3 * (2.0 / 3.0 * tip_radius_m - 0.25 * bare_m)
+    moment = ball * 0.625 * tip_radius_m + cone * (tip_radius_m + 0.5 * straight) - bare_moment
+    behind = moment / (ball + cone - bare)
+    shown = points[:, 2] > bare_m
+    return Surface(points[shown], normals[shown], areas[shown], np.array([0.0, 0.0, behind]))
 
 
 def patch_surface(size_m: tuple[float, float], columns: int = 8, rows: int = 6) -> Surface:

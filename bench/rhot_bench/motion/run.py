@@ -41,7 +41,7 @@ class Job:
         data: folder with the recorded hands.
         seconds: of the clip.
         strata: at which to run it.
-        markers: `caps` or `points`.
+        markers: `caps`, `bands` or `points`.
     """
 
     seed: int

@@ -97,14 +97,18 @@ def _sees_skin(eye: FloatArray, rays: FloatArray, capsules: Capsules, caps: Sequ
         if finger >= 0:
             # The capsule ends one radius before the very tip, from where the paint's length counts.
             from_tip_m = radius + (1.0 - share) * np.linalg.norm(end - begin, axis=1)[:, None]
-            is_skin = from_tip_m > caps[finger].points[:, 2].max() + _SPACING_M
+            painted = caps[finger].points[:, 2]
+            is_skin = (from_tip_m > painted.max() + _SPACING_M) | (from_tip_m < painted.min() - _SPACING_M)
         skin = np.where(first, is_skin, skin)
     return skin
 
 
 # What one camera publishes of a painted hand in motion: marker frames as capture makes them.
 
-MarkerKind = Literal["caps", "points"]
+MarkerKind = Literal["caps", "bands", "points"]
+
+_BARE_M: Final = 0.003
+"""What a tape around a finger leaves bare of its end."""
 
 _LEAST_SHARE: Final = 0.08
 """Share of its facing paint below which a marker is no blob of its own colour; capture's size gate acts beside it."""
@@ -309,9 +313,12 @@ def draw_clip(rng: np.random.Generator, data: Path, seconds: float, draw: RigDra
 
 
 def draw_hand(
-    rng: np.random.Generator, motion: HandMotion, grasps: bool
+    rng: np.random.Generator, motion: HandMotion, grasps: bool, bare_m: float = 0.0
 ) -> tuple[Flesh, list[Surface], HandFile, tuple[float, float]]:
-    """Return flesh, paint and patch of a hand, and what two measures by a ruler tell of it."""
+    """Return flesh, paint and patch of a hand, and what two measures by a ruler tell of it.
+
+    Fingers stay bare from the very tip for `bare_m`.
+    """
     hand_m = 0.185
     scale = motion.length_m / hand_m * float(rng.uniform(0.92, 1.12))
     bones_m = np.minimum(1e-3 * scale * np.array(_FLESH_MM), 0.45 * motion.bones[:, 2:])
@@ -320,7 +327,7 @@ def draw_hand(
     motion.tip_radius_m = tips
     lengths = rng.uniform(0.012, 0.022, 5) * scale
     surfaces = [
-        cap_surface(max(float(length), 1.2 * float(r)), float(r), float(r) * float(rng.uniform(1.0, 1.15)))
+        cap_surface(max(float(length), 1.2 * float(r)), float(r), float(r) * float(rng.uniform(1.0, 1.15)), bare_m)
         for length, r in zip(lengths, tips, strict=True)
     ]
     patch_m = (float(rng.uniform(0.030, 0.045)), float(rng.uniform(0.022, 0.032)))
@@ -413,15 +420,15 @@ def make_tracks(
         seconds: length of the clip, as far as the recording goes.
         rate_hz: of all cameras instead of the drawn one.
         noise_px: instead of the drawn one.
-        markers: `caps` gives the middle of the paint that is seen, `points` that of the whole marker, seen or hidden
-            alike; both are hidden by flesh and object.
+        markers: `caps` gives the middle of the paint that is seen, `bands` that of tapes around the fingers, `points`
+            that of the whole marker, seen or hidden alike; all are hidden by flesh and object.
         family: bounds to draw from.
     """
     rng = np.random.default_rng([12, seed])
     streams = rng.spawn(3)
     draw = draw_rig(seed, family or Family(), rate_hz, noise_px)
     motion, hand_name, grasps = draw_clip(streams[0], data, seconds, draw)
-    flesh, surfaces, hand_file, patch_m = draw_hand(streams[1], motion, grasps)
+    flesh, surfaces, hand_file, patch_m = draw_hand(streams[1], motion, grasps, _BARE_M if markers == "bands" else 0.0)
     rig = write_rig(draw, folder, hand_file, patch_m)
     gate_px = [rig.config.markers[name].min_area_px for name in MARKERS]
     parts = [

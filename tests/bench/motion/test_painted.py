@@ -28,6 +28,15 @@ def test_middle_of_a_ball_alone_is_five_eighths_of_the_radius_behind_its_tip() -
     assert cap_surface(0.007, 0.007, 0.007).centre[2] == pytest.approx(0.625 * 0.007)
 
 
+def test_a_tape_leaves_the_tip_bare_and_has_its_middle_further_back() -> None:
+    radius, length, bare = 0.007, 0.017, 0.003
+    tape, paint = cap_surface(length, radius, radius, bare), cap_surface(length, radius, radius)
+    assert bare < tape.points[:, 2].min() < paint.points[:, 2].max() == tape.points[:, 2].max()
+    z = np.linspace(bare, length, 20_001)
+    area = radius**2 - np.maximum(radius - z, 0.0) ** 2
+    assert tape.centre[2] == pytest.approx(np.average(z, weights=area), rel=1e-4)
+
+
 def test_seen_middle_lies_towards_the_camera_by_a_few_millimetres() -> None:
     surface = cap_surface(0.017, 0.007, 0.007)
     # The bone lies along x, across the line of sight.
