@@ -1,8 +1,7 @@
 """An OpenXR program with hands, on the loader and a runtime without display; it knows nothing of who tracks them.
 
 Usage: reader.py [--no-hands]. Says what it found, then answers each line of standard input, both as JSON:
-`{"do": "locate", "side": …, "space": …, "ahead_ms": …}`, `{"do": "follow", "side": …, "seconds": …}`,
-`{"do": "time", "space": …, "calls": …}`, `{"do": "bad"}`.
+`{"do": "locate", "side": …, "space": …, "ahead_ms": …}`, `{"do": "follow", "side": …, "seconds": …}`, `{"do": "bad"}`.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import sys
 import time
 from typing import Any
 
-import numpy as np
 import xr
 
 JOINTS = 26
@@ -134,22 +132,6 @@ class Program:
             came.append(time.monotonic_ns())
         return {"came_ns": came[:-1]}
 
-    def timed(self, space: str, calls: int) -> dict[str, float]:
-        now = self.xr_time(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
-        info = ctypes.byref(xr.HandJointsLocateInfoEXT(base_space=self.spaces[space], time=now))
-        out, tracker, locate = ctypes.byref(self.out), self.trackers["right"], self.locate_joints
-        located, place = self.function("xrLocateSpace"), ctypes.byref(xr.SpaceLocation())
-        stage, base = self.spaces["STAGE"], self.spaces[space]
-        took = np.zeros((calls, 2))
-        for row in took:
-            t0 = time.perf_counter_ns()
-            locate(tracker, info, out)
-            t1 = time.perf_counter_ns()
-            located(stage, base, now, place)
-            row[:] = t1 - t0, time.perf_counter_ns() - t1
-        median = np.median(took, axis=0) / 1e3
-        return {"joints_us": median[0], "space_us": median[1], "p99_us": float(np.percentile(took[:, 0], 99)) / 1e3}
-
     def bad(self) -> dict[str, str]:
         """Mistakes that a program may make, and what it is told."""
         now = self.xr_time(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
@@ -200,12 +182,8 @@ def main() -> None:
     say(said)
     for line in sys.stdin:
         request = json.loads(line)
-        do = request.pop("do")
-        say(
-            {"locate": program.locate, "follow": program.follow, "time": program.timed, "bad": program.bad}[do](
-                **request
-            )
-        )
+        do: Any = {"locate": program.locate, "follow": program.follow, "bad": program.bad}[request.pop("do")]
+        say(do(**request))
     xr.destroy_session(program.session)
     xr.destroy_instance(program.instance)
 
