@@ -98,7 +98,6 @@ TERMS: Final[Mapping[str, Change]] = {
     "outliers of the patch lose weight": ((_HAND, "_TURN_OUTLIER", 1e6),),
     "a lost hand is looked for again": ((_SOLVER, "_LOST_S", 1e9),),
     "a quarter turn is corrected": ((_SOLVER, "_QUARTER_TURN", 1e9),),
-    "fingers blend in": (("rhot_ik.hand.blending", "_STEP_M", 1e3), ("rhot_ik.hand.blending", "_FIRST_M", 1e3)),
 }
 
 

@@ -459,8 +459,8 @@ async def test_a_program_has_a_sample_as_soon_as_a_reader_of_the_bus(
     rig = tmp_path / "rig"
     rig.mkdir()
     write_simulated_rig(rig, endpoint=endpoint)
-    draw = ["sim", "--rig", rig, "--duration", "10", "--no-viewer", "--listen", endpoint]
-    async with running(runtime, draw, ["record", "--rig", rig, "--out", recording, "--duration", "6"]) as children:
+    draw = ["sim", "--rig", rig, "--duration", "12", "--no-viewer", "--listen", endpoint]
+    async with running(runtime, draw, ["record", "--rig", rig, "--out", recording, "--duration", "8"]) as children:
         for child in children:
             await child.wait()
     play = ["replay", recording, "--rig", rig, "--only", "hand", "--only", "space", "--now", "--loop"]
@@ -473,7 +473,7 @@ async def test_a_program_has_a_sample_as_soon_as_a_reader_of_the_bus(
         await asyncio.to_thread(program.until, True, 10.0)
         later_ms = await _later_than_the_bus(bus, program)
         program.end()
-    assert len(later_ms) > 500
+    assert len(later_ms) > 100
     said = f"median {np.median(later_ms):.2f} ms, p99 {np.percentile(later_ms, 99):.2f} ms of {len(later_ms)} samples"
     record_property("program later than a reader of the bus", said)
     assert np.median(later_ms) < 2.0

@@ -109,7 +109,7 @@ def _angles(side: str, solver: HandSolver, track: HandTrack) -> Explanation:
     rest = rest_angles(model).reshape(5, 4)
     usual = np.sqrt(np.diag(angle_covariance(model))).reshape(5, 4)
     sigma = np.sqrt(np.diag(state.P)[ANGLES]).reshape(5, 4)
-    shown, filtered = track.shown, state.angles.reshape(5, 4)
+    shown, filtered = track.angles, state.angles.reshape(5, 4)
     rows = []
     for place, finger in enumerate(FINGERS):
         for angle, name in enumerate(_EXPLAIN_ANGLES):
@@ -147,8 +147,7 @@ def _angles(side: str, solver: HandSolver, track: HandTrack) -> Explanation:
             "from prior, sigma",
         ),
         tuple(rows),
-        "Published: the filter's angle, blended when a finger reappears. Red: angles at a limit, or more than "
-        f"{_UNUSUAL:g} standard deviations from the prior, a hand at rest.",
+        f"Red: angles at a limit, or more than {_UNUSUAL:g} standard deviations from the prior, a hand at rest.",
     )
 
 

@@ -14,7 +14,7 @@ from rhot_ik.core import IkCore
 from rhot_ik.hand_core import HandCore
 
 
-def test_hidden_finger_is_held_and_rejoins_without_a_step(
+def test_a_hidden_finger_is_held_and_taken_up_again(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     core = HandCore(right_rig)
@@ -34,7 +34,7 @@ def test_hidden_finger_is_held_and_rejoins_without_a_step(
             largest_step = max(largest_step, float(np.linalg.norm(now - previous, axis=1).max()))
             largest_true = max(largest_true, float(np.linalg.norm(joints.positions - before, axis=1).max()))
         previous, before = now, joints.positions
-    assert largest_step < largest_true + 0.007
+    assert largest_step < largest_true + 0.02
 
 
 def test_hidden_base_is_carried_by_the_tips_then_given_up(
@@ -64,12 +64,11 @@ def test_hidden_base_is_carried_by_the_tips_then_given_up(
     assert not any(published[32:])
 
 
-def test_a_tip_that_returns_far_from_where_it_was_held_makes_no_jump(
+def test_a_tip_that_returns_far_from_where_it_was_held_is_there_at_once(
     right_rig: Rig, right_hand: HandModel, make_points: MakePoints, wrist: Wrist
 ) -> None:
     """The ring finger curls alone while it is hidden, so that no neighbour tells of it."""
-    core, steps, errors = HandCore(right_rig), [], []
-    previous = None
+    core, errors = HandCore(right_rig), []
     for k in range(180):
         angles = EASE.copy()
         angles[3, 0] += np.radians(45.0) * np.clip((k - 70) / 20.0, 0.0, 1.0)
@@ -79,12 +78,8 @@ def test_a_tip_that_returns_far_from_where_it_was_held_makes_no_jump(
         hide = ("ring",) if 60 <= k < 100 else ()
         now = positions(only_pose(core, make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide)))
         errors.append(np.linalg.norm(now - joints.positions, axis=1).max())
-        if previous is not None and k >= 95:
-            steps.append(np.linalg.norm(now - previous, axis=1).max())
-        previous = now
     assert errors[98] > 0.03
-    assert max(steps) < 0.008
-    assert errors[-1] < 0.006
+    assert max(errors[100:]) < 0.006
 
 
 def test_a_ray_and_the_length_of_the_finger_give_its_depth(
@@ -175,5 +170,5 @@ def test_a_tip_that_returns_and_moves_on_is_not_followed_behind(
         hide = ("ring",) if 60 <= k < 98 else ()
         points = make_points(right_hand, joints, right_rig.config.markers, k / 60.0, hide=hide)
         errors.append(float(np.linalg.norm(positions(only_pose(core, points))[tip] - joints.positions[tip])))
-    assert errors[98] > 0.02
-    assert max(errors[110:]) < 0.006
+    assert errors[97] > 0.02
+    assert max(errors[98:]) < 0.003

@@ -129,7 +129,9 @@ class Program:
             while bytes(self.joints) == before and time.monotonic() < end:
                 time.sleep(0.0002)
                 self.locate_joints(tracker, info, out)
-            came.append(time.monotonic_ns())
+            # A hand that goes is no sample.
+            if self.out.is_active:
+                came.append(time.monotonic_ns())
         return {"came_ns": came[:-1]}
 
     def bad(self) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Solver of one hand: initialisation, filtering, and blending of reappearing fingers."""
+"""Solver of one hand: initialisation and filtering."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import BoolArray, FloatArray
 from rhot.geometry.rotations import rotation_x, rotation_z
 from rhot.plugins import load_plugin
-from rhot_ik.hand.blending import blended, with_own_motion
 from rhot_ik.hand.closed_form import FingerGeometry, marker_on_palm
 from rhot_ik.hand.contact import GraspContact, Shape
 from rhot_ik.hand.filter.evidence import Evidence, EvidenceModel, HandObservation
@@ -25,16 +24,8 @@ from rhot_ik.hand.filter.smoother import smoothed_states
 from rhot_ik.hand.filter.uncertainty import joint_variances
 from rhot_ik.hand.track import HandSolution, HandTrack
 
-_SETTLES_S: Final = 0.025
-"""The motion of a finger is added to the blend once the finger has been seen for this long with the standard deviation
-of its marker below `_BLEND_KNOWN_M` (root of the trace of its covariance); before, changes of the estimate are
-convergence, not motion. Half of the points that are known worse are over 45 mm off (fast hands of `rhot evaluate
-motion`, 30 fps, develop seeds 0 to 29).
-"""
-_BLEND_KNOWN_M: Final = 0.04
 _WELL_MEASURED_M: Final = 0.01
-"""A marker with a larger standard deviation counts as not yet reappeared: only one camera sees it.
-"""
+"""A marker with a larger standard deviation says little of the palm: only one camera sees it."""
 
 _PALM_SHARE: Final = 0.24
 """A patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the model's; nothing
@@ -187,11 +178,9 @@ def guesses(direction: FloatArray) -> list[FloatArray]:
     ]
 
 
-# Solver of one hand: initialisation, filtering, and blending of reappearing fingers.
+# Solver of one hand: initialisation and filtering.
 
 _TIPS_OF_A_PALM: Final = 3
-_NEVER_NS: Final = 2**62
-"""Since when a tip has been known that is not: later than any sample."""
 
 
 class FingerMethod(Protocol):
@@ -335,16 +324,13 @@ class HandSolver:
         return HandTrack(
             t_ns=seen.t_ns,
             state=state,
-            shown=self._angles(state, seen, state.angles.reshape(5, 4)),
-            blends_s=np.zeros(5),
+            angles=self._angles(state, seen, state.angles.reshape(5, 4)),
             corner_noise=evidence.corner_noise,
             corners_measured=evidence.rotation is not None,
             from_patch=evidence.rotation is not None,
             base_seen_ns=seen.t_ns,
             measured_ns=seen.t_ns,
             measured=measured,
-            well_measured=measured & _known_within(seen, _WELL_MEASURED_M),
-            known_since_ns=np.where(measured, seen.t_ns, _NEVER_NS),
             seen=seen,
         )
 
@@ -364,37 +350,21 @@ class HandSolver:
         turned = self._doubt_of_turn(before, evidence, dt_s)
         if turned > _QUARTER_TURN:
             state, turned = self._initialiser.quarter_turned(state, seen) or state, 0.0
-        angles = self._angles(state, seen, before.shown)
-        well_measured = measured & _known_within(seen, _WELL_MEASURED_M)
-        known = measured & _known_within(seen, _BLEND_KNOWN_M)
-        since_ns = np.where(known, np.minimum(before.known_since_ns, seen.t_ns), _NEVER_NS)
-        # Shortest duration of a blend: until fusion has converged on a marker that has reappeared.
-        left_s = np.where(well_measured & before.well_measured, before.blends_s, 0.1)
-        # After a reinitialisation, the previous angles belong to another palm: no blend.
-        shown, left_s = (before.shown, left_s) if state is updated else (angles, np.zeros(5))
-        if left_s.any():
-            moved = (state.angles - before.state.angles).reshape(5, 4)
-            led = (left_s > 0.0) & (seen.t_ns - since_ns > 1e9 * _SETTLES_S)
-            shown = with_own_motion(self._kinematics, shown, moved, led, dt_s)
-            shown = self._filter.clamp(shown.reshape(-1)).reshape(5, 4)
-        shown, left_s = blended(self._kinematics, angles, shown, left_s, dt_s)
+        well_measured = int(np.count_nonzero(measured & _known_within(seen, _WELL_MEASURED_M)))
         return HandTrack(
             t_ns=seen.t_ns,
             state=state,
-            shown=shown,
-            blends_s=left_s,
+            angles=self._angles(state, seen, before.angles),
             corner_noise=evidence.corner_noise,
             corners_measured=evidence.rotation is not None,
             from_patch=from_patch,
             base_seen_ns=before.base_seen_ns if seen.base is None else seen.t_ns,
             measured_ns=seen.t_ns if seen.measured_any else before.measured_ns,
             measured=measured,
-            well_measured=well_measured,
-            known_since_ns=since_ns,
             seen=seen,
             expected=expected if state is updated else None,
             lost_s=lost_s,
-            most_tips=max(before.most_tips, int(np.count_nonzero(well_measured)) if lost_s == 0.0 else 1),
+            most_tips=max(before.most_tips, well_measured if lost_s == 0.0 else 1),
             quarter_turn=turned,
         )
 
@@ -442,8 +412,8 @@ class HandSolver:
         states = smoothed_states(self._filter, tracks)
         solutions = []
         for track, state in zip(tracks, states, strict=True):
-            shown = self._angles(state, track.seen, track.shown)
-            solutions.append(self._solution_of(dataclasses.replace(track, state=state, shown=shown)))
+            angles = self._angles(state, track.seen, track.angles)
+            solutions.append(self._solution_of(dataclasses.replace(track, state=state, angles=angles)))
         return solutions
 
     def _solution_of(self, track: HandTrack) -> HandSolution:
@@ -452,7 +422,7 @@ class HandSolver:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = state.R, state.p - shorter_palm_m * state.R[:, 2]
         positions, orientations, modelled = self._kinematics.pose(
-            state.R, state.p, track.shown.reshape(-1), state.longer, shorter_palm_m
+            state.R, state.p, track.angles.reshape(-1), state.longer, shorter_palm_m
         )
         gaps = modelled - seen.tips
         # NaN where a tip was not seen, as it came.
@@ -460,7 +430,7 @@ class HandSolver:
         palm_measured = seen.base is not None and seen.base_measured
         return HandSolution(
             T_rig_wrist=T,
-            angles=track.shown,
+            angles=track.angles,
             positions=positions,
             orientations=orientations,
             residual=residual,
@@ -470,8 +440,8 @@ class HandSolver:
             angle_sigma=np.sqrt(np.maximum(state.P.diagonal()[ANGLES], 0.0)).reshape(5, 4),
         )
 
-    def _angles(self, state: HandState, seen: HandObservation, shown: FloatArray) -> FloatArray:
-        """Return the angles (5, 4) of the fingers, radians; those not measured are the filter's."""
+    def _angles(self, state: HandState, seen: HandObservation, before: FloatArray) -> FloatArray:
+        """Return the angles (5, 4) of the fingers, radians, with those before; those not measured are the filter's."""
         estimated = state.angles.reshape(5, 4)
         if self._fingers is None:
             return estimated
@@ -481,7 +451,7 @@ class HandSolver:
         resting = self._geometry.marker_points(estimated)
         local = self._filter.scaled_to_model((seen.tips - state.p) @ state.R, state.longer)
         local = np.where(measured[:, None], local, resting)
-        return np.where(measured[:, None], self._fingers.solve(local, shown), estimated)
+        return np.where(measured[:, None], self._fingers.solve(local, before), estimated)
 
 
 def _known_within(seen: HandObservation, sigma_m: float) -> BoolArray:

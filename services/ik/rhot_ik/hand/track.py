@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rhot.arrays import BoolArray, FloatArray, IntArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot_ik.hand.filter.evidence import CornerNoise, HandObservation
 from rhot_ik.hand.filter.process import HandState
 
@@ -43,14 +43,11 @@ class HandTrack:
     Attributes:
         t_ns: time of the sample, rig clock.
         state: the estimate.
-        shown: (5, 4) radians, published angles.
-        blends_s: (5,) remaining duration of each finger's blend, seconds.
+        angles: (5, 4) radians, published.
         corner_noise: learned noise of the patch's corners.
         corners_measured: whether the corners of the patch measured the palm's rotation.
         base_seen_ns, measured_ns: when the base marker was last seen, and when any marker was last measured.
         measured: (5,) whether each finger was measured.
-        well_measured: (5,) whether each was also well known in all directions.
-        known_since_ns: (5,) since when each has been known without interruption.
         seen: the sample.
         expected: the predicted state; None if the sample initialised the hand.
         lost_s: for how long the seen tips have disagreed with the model, seconds.
@@ -62,15 +59,12 @@ class HandTrack:
 
     t_ns: int
     state: HandState
-    shown: FloatArray
-    blends_s: FloatArray
+    angles: FloatArray
     corner_noise: CornerNoise
     corners_measured: bool
     base_seen_ns: int
     measured_ns: int
     measured: BoolArray
-    well_measured: BoolArray
-    known_since_ns: IntArray
     seen: HandObservation
     expected: HandState | None = None
     lost_s: float = 0.0
