@@ -9,7 +9,7 @@ from typing import Literal, Self
 import numpy as np
 
 from rhot.anatomy.skeleton import JOINTS
-from rhot.arrays import FloatArray
+from rhot.arrays import BoolArray, FloatArray
 from rhot.errors import WireError
 from rhot.messages import BodyPose, FootPose, HandPose, ObjectPose, ObjectShape, Side
 
@@ -48,9 +48,11 @@ class BridgedHand(Poses):
 
     Attributes:
         radii: (26,) metres, radius of the flesh around each joint.
+        measured: (26,) whether a camera saw the joint's finger.
     """
 
     radii: FloatArray
+    measured: BoolArray = field(default_factory=lambda: np.ones(len(JOINTS), dtype=np.bool_))
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +122,10 @@ def tracked(message: HandPose | ObjectPose | FootPose | BodyPose) -> Tracked:
             raise WireError(f"the {message.side} hand lacks {len(missing)} of 26 joints: {missing[0]}, …")
         joints = [message.joints[name] for name in JOINTS]
         table = np.array([(*joint.position, *joint.orientation, joint.radius) for joint in joints])
-        return BridgedHand(message.t_ns, message.state, 1.0, table[:, :3], table[:, 3:7], table[:, 7])
+        measured = np.array(
+            [message.fingers.get(name.partition("_")[0], message.state) == "measured" for name in JOINTS]
+        )
+        return BridgedHand(message.t_ns, message.state, 1.0, table[:, :3], table[:, 3:7], table[:, 7], measured)
     if isinstance(message, BodyPose):
         rows = np.array([(*joint.position, *joint.orientation) for joint in message.joints.values()]).reshape(-1, 7)
         return Body(message.t_ns, message.state, 1.0, rows[:, :3], rows[:, 3:], tuple(message.joints))

@@ -165,9 +165,9 @@ def test_cameras_on_the_other_side_than_in_rig_toml_are_refused(pictures: Path, 
     assert "swapped" not in run(pictures, rig).output
 
 
-@pytest.mark.parametrize("board", ["8x6"])
-def test_a_wrong_count_of_corners_is_refused_with_the_right_one(pictures: Path, rig: Path, board: str) -> None:
-    assert "--board 9x6" in refusal(run(pictures, rig, board=board))
+def test_a_wrong_count_of_corners_is_refused_with_the_right_one(pictures: Path, rig: Path) -> None:
+    keep_first(pictures, 4)
+    assert "--board 9x6" in refusal(run(pictures, rig, board="8x6"))
 
 
 def test_a_camera_bumped_half_way_is_refused(pictures: Path, rig: Path) -> None:

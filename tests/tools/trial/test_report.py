@@ -115,7 +115,8 @@ def test_what_was_not_tracked_says_so(tmp_path: Path) -> None:
 
 
 def test_the_example_runs_as_it_stands(trial: Path, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
+    # Its list of fonts takes seconds to make.
+    matplotlib = pytest.importorskip("matplotlib")
     pytest.importorskip("pynwb")
     text = EXAMPLE.read_text()
     code = text.rpartition('"""')[2]
@@ -126,7 +127,11 @@ def test_the_example_runs_as_it_stands(trial: Path, tmp_path: Path) -> None:
     path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
     command = [sys.executable, str(script), str(trial)]
     done = subprocess.run(
-        command, cwd=tmp_path, env={"PATH": path, "HOME": str(tmp_path)}, capture_output=True, check=False
+        command,
+        cwd=tmp_path,
+        env={"PATH": path, "HOME": str(tmp_path), "MPLCONFIGDIR": matplotlib.get_cachedir()},
+        capture_output=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr.decode()[-2000:]
     assert {"analysis.png", "analysis.nwb", "dataset", "report.html"} <= {each.name for each in tmp_path.iterdir()}
@@ -134,7 +139,8 @@ def test_the_example_runs_as_it_stands(trial: Path, tmp_path: Path) -> None:
 
 def test_the_notebook_runs_as_it_stands(trial: Path, tmp_path: Path) -> None:
     """Its cells one after another, in one process."""
-    pytest.importorskip("matplotlib")
+    # Its list of fonts takes seconds to make.
+    matplotlib = pytest.importorskip("matplotlib")
     pytest.importorskip("xarray")
     cells = json.loads((EXAMPLES / "grasp.ipynb").read_text())["cells"]
     assert not any(cell.get("outputs") for cell in cells), "the notebook is kept without outputs"
@@ -147,7 +153,12 @@ def test_the_notebook_runs_as_it_stands(trial: Path, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, str(script)],
         cwd=tmp_path,
-        env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "MPLBACKEND": "Agg"},
+        env={
+            "PATH": "/usr/bin:/bin",
+            "HOME": str(tmp_path),
+            "MPLBACKEND": "Agg",
+            "MPLCONFIGDIR": matplotlib.get_cachedir(),
+        },
         capture_output=True,
         text=True,
         check=False,
