@@ -6,7 +6,7 @@ import importlib.util
 import json
 import tempfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ class Score:
         swaps: reports nearer to another marker, and more than 10 mm off.
         hallucinations: reports of markers hidden in both views, more than 30 mm off.
         one_view_median_mm, one_view_p95_mm: points told as measured while one camera alone sees the marker.
+        told_median_mm, told_p95_mm: points told as seen by one camera, while that is so; NaN without any.
     """
 
     median_mm: float
@@ -42,16 +43,27 @@ class Score:
     hallucinations: int
     one_view_median_mm: float
     one_view_p95_mm: float
+    told_median_mm: float = float("nan")
+    told_p95_mm: float = float("nan")
 
 
 def score_messages(data: Path, sequence: str, messages: Iterable[tuple[str, Message]]) -> Score:
     """Score what `rhot process` would write."""
-    lines = [
-        f'{{"key": {json.dumps(key)}, "value": {message.model_dump_json(exclude_none=True)}}}'
-        for key, message in messages
-        if isinstance(message, PointSet | HandPose)
-    ]
-    return _score(data, sequence, lines)
+    lines, told = [], []
+    for key, message in messages:
+        if isinstance(message, PointSet):
+            one_view = {
+                name: point.model_copy(update={"state": "measured"})
+                for name, point in message.points.items()
+                if point.state == "one_view"
+            }
+            told.append(_line(key, message.model_copy(update={"points": one_view})))
+        if isinstance(message, PointSet | HandPose):
+            lines.append(_line(key, message))
+    # The scorer judges what is told as measured.
+    figures = _figures(data, told).get(sequence)
+    median, p95, *_ = figures["err_visible_in_one_mm"] if figures else (float("nan"), float("nan"))
+    return replace(_score(data, sequence, lines), told_median_mm=float(median), told_p95_mm=float(p95))
 
 
 def score_estimates(data: Path, sequence: str, estimates: Estimates, names: Sequence[str]) -> Score:
@@ -65,11 +77,21 @@ def score_estimates(data: Path, sequence: str, estimates: Estimates, names: Sequ
     return _score(data, sequence, lines)
 
 
-def _score(data: Path, sequence: str, lines: Sequence[str]) -> Score:
+def _line(key: str, message: Message) -> str:
+    return f'{{"key": {json.dumps(key)}, "value": {message.model_dump_json(exclude_none=True)}}}'
+
+
+def _figures(data: Path, lines: Sequence[str]) -> dict[str, Any]:
+    """Return the scorer's figures by sequence."""
     with tempfile.TemporaryDirectory(prefix="rhot-pictures-") as folder:
         file = Path(folder) / "found.jsonl"
         file.write_text("\n".join(lines) + "\n", encoding="utf-8")
         found: dict[str, Any] = _scorer(data).score3d(str(file), str(data), quiet=True, want_shift=False)
+    return found
+
+
+def _score(data: Path, sequence: str, lines: Sequence[str]) -> Score:
+    found = _figures(data, lines)
     if sequence not in found:
         raise ConfigError(f"{data}: no point was found in {sequence}; are colours and cameras calibrated?")
     figures = found[sequence]
