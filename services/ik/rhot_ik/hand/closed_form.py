@@ -33,13 +33,11 @@ class FingerGeometry:
         ends: (5, 3) metres: from the last hinge to the painted centre, in the frame of the last bone. Fingers that
             wear no marker end in their tip.
         markers: finger to the name of its marker.
-        reaches: (5,) metres: no marker is further from its knuckle.
     """
 
     model: HandModel
     ends: FloatArray
     markers: Mapping[str, str]
-    reaches: FloatArray
 
     @classmethod
     def of(cls, model: HandModel, markers: Mapping[str, PaintedMarker]) -> FingerGeometry:
@@ -56,9 +54,7 @@ class FingerGeometry:
                         ends[place] = model.marker_offset(name, marker) + np.array([0.0, 0.0, start])
                         bound[finger] = name
         ends.setflags(write=False)
-        reaches = model.bones[:, :2].sum(axis=1) + np.sqrt((ends * ends).sum(axis=1))
-        reaches.setflags(write=False)
-        return cls(model, ends, bound, reaches)
+        return cls(model, ends, bound)
 
     def in_finger_frames(self, targets: FloatArray) -> FloatArray:
         """Return points (..., 5, 3) of the wrist frame in the rest frames of their fingers, metres.

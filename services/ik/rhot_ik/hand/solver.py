@@ -350,7 +350,7 @@ class HandSolver:
         turned = self._doubt_of_turn(before, evidence, dt_s)
         if turned > _QUARTER_TURN:
             state, turned = self._initialiser.quarter_turned(state, seen) or state, 0.0
-        well_measured = int(np.count_nonzero(measured & _known_within(seen, _WELL_MEASURED_M)))
+        well_measured = int(np.count_nonzero(measured & _well_known(seen)))
         return HandTrack(
             t_ns=seen.t_ns,
             state=state,
@@ -454,9 +454,9 @@ class HandSolver:
         return np.where(measured[:, None], self._fingers.solve(local, before), estimated)
 
 
-def _known_within(seen: HandObservation, sigma_m: float) -> BoolArray:
-    """Return which tips (5,) have a covariance whose trace is below `sigma_m` squared."""
+def _well_known(seen: HandObservation) -> BoolArray:
+    """Return which tips (5,) have a covariance whose trace is below the square of `_WELL_MEASURED_M`."""
     if seen.tip_covariances is None:
         return np.ones(5, dtype=np.bool_)
-    known: BoolArray = np.trace(seen.tip_covariances, axis1=1, axis2=2) < sigma_m**2
+    known: BoolArray = np.trace(seen.tip_covariances, axis1=1, axis2=2) < _WELL_MEASURED_M**2
     return known

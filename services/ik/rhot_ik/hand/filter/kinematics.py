@@ -32,16 +32,11 @@ _CARPAL: Final = np.array([WRIST, *METACARPALS[1:]])
 
 
 class HandKinematics:
-    """The chains of one hand; stateless after construction.
-
-    Attributes:
-        reaches: (5,) metres: no marker is further from its knuckle.
-    """
+    """The chains of one hand; stateless after construction."""
 
     def __init__(self, geometry: FingerGeometry) -> None:
         model = geometry.model
         self._knuckles, self._all_knuckles = model.knuckles, model.knuckles[:, None]
-        self.reaches = geometry.reaches
         self._turns = _turns(model.handedness)
         vectors = _vectors()
         to_palm = np.einsum("fij,vjt->fvit", model.frames, vectors)
