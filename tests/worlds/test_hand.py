@@ -20,7 +20,7 @@ from worlds.skin import make_skin, surface_nets, with_patch
 from worlds.world import random_hand
 
 
-@pytest.fixture(scope="module", params=[3])
+@pytest.fixture(scope="module", params=[3, 4])
 def hand(request: pytest.FixtureRequest) -> Hand:
     rng = np.random.default_rng(request.param)
     return with_patch(random_hand(rng), rng)

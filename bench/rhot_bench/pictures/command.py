@@ -467,7 +467,7 @@ def _rows(targets: Targets, scores: dict[str, Score]) -> tuple[Row, ...]:
             Row(f"{step}, hallucinations", score.hallucinations, most=0),
             Row(f"{step}, told as measured with one view, median", score.one_view_median_mm, "mm"),
             Row(f"{step}, told as measured with one view, p95", score.one_view_p95_mm, "mm"),
-            Row(f"{step}, told as seen by one camera, median", score.told_median_mm, "mm"),
-            Row(f"{step}, told as seen by one camera, p95", score.told_p95_mm, "mm"),
+            Row(f"{step}, told as seen by one camera, median", score.lone_median_mm, "mm"),
+            Row(f"{step}, told as seen by one camera, p95", score.lone_p95_mm, "mm"),
         ]
     return tuple(rows)

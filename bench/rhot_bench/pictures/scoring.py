@@ -30,7 +30,7 @@ class Score:
         swaps: reports nearer to another marker, and more than 10 mm off.
         hallucinations: reports of markers hidden in both views, more than 30 mm off.
         one_view_median_mm, one_view_p95_mm: points told as measured while one camera alone sees the marker.
-        told_median_mm, told_p95_mm: points told as seen by one camera, while that is so; NaN without any.
+        lone_median_mm, lone_p95_mm: points of state `one_view` while one camera alone sees the marker; NaN without any.
     """
 
     median_mm: float
@@ -43,27 +43,27 @@ class Score:
     hallucinations: int
     one_view_median_mm: float
     one_view_p95_mm: float
-    told_median_mm: float = float("nan")
-    told_p95_mm: float = float("nan")
+    lone_median_mm: float = float("nan")
+    lone_p95_mm: float = float("nan")
 
 
 def score_messages(data: Path, sequence: str, messages: Iterable[tuple[str, Message]]) -> Score:
     """Score what `rhot process` would write."""
-    lines, told = [], []
+    lines, lone = [], []
     for key, message in messages:
         if isinstance(message, PointSet):
-            one_view = {
+            # The scorer judges what is told as measured.
+            points = {
                 name: point.model_copy(update={"state": "measured"})
                 for name, point in message.points.items()
                 if point.state == "one_view"
             }
-            told.append(_line(key, message.model_copy(update={"points": one_view})))
+            lone.append(_line(key, message.model_copy(update={"points": points})))
         if isinstance(message, PointSet | HandPose):
             lines.append(_line(key, message))
-    # The scorer judges what is told as measured.
-    figures = _figures(data, told).get(sequence)
+    figures = _figures(data, lone).get(sequence)
     median, p95, *_ = figures["err_visible_in_one_mm"] if figures else (float("nan"), float("nan"))
-    return replace(_score(data, sequence, lines), told_median_mm=float(median), told_p95_mm=float(p95))
+    return replace(_score(data, sequence, lines), lone_median_mm=float(median), lone_p95_mm=float(p95))
 
 
 def score_estimates(data: Path, sequence: str, estimates: Estimates, names: Sequence[str]) -> Score:

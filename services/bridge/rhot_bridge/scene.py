@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, Self
+from typing import Final, Literal, Self
 
 import numpy as np
 
@@ -17,6 +17,9 @@ Axes = Literal["rig", "stage", "unity"]
 """Frame and handedness of a scene's poses; see `rhot_bridge.axes`."""
 SentState = Literal["measured", "predicted", "kept"]
 """As in the messages; `kept`: no sample has come for a while, and the last one is repeated or fades."""
+
+_PARTS: Final = tuple(name.partition("_")[0] for name in JOINTS)
+"""Palm, wrist or finger that each joint belongs to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,9 +125,7 @@ def tracked(message: HandPose | ObjectPose | FootPose | BodyPose) -> Tracked:
             raise WireError(f"the {message.side} hand lacks {len(missing)} of 26 joints: {missing[0]}, …")
         joints = [message.joints[name] for name in JOINTS]
         table = np.array([(*joint.position, *joint.orientation, joint.radius) for joint in joints])
-        measured = np.array(
-            [message.fingers.get(name.partition("_")[0], message.state) == "measured" for name in JOINTS]
-        )
+        measured = np.array([message.fingers.get(part, message.state) == "measured" for part in _PARTS])
         return BridgedHand(message.t_ns, message.state, 1.0, table[:, :3], table[:, 3:7], table[:, 7], measured)
     if isinstance(message, BodyPose):
         rows = np.array([(*joint.position, *joint.orientation) for joint in message.joints.values()]).reshape(-1, 7)

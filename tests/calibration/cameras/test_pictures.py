@@ -113,6 +113,13 @@ def test_marker_tracks_are_refused(shared_data: Path) -> None:
         read_pictures(shared_data / "thesis_rig" / "recordings" / "hand_recovered", BOARD, ("left", "right"))
 
 
+def test_a_wrong_count_is_explained(recording: Path) -> None:
+    reading = read_pictures(recording, parse_board("8x6", 0.025), ("left", "right"))
+    assert not reading.views.views
+    assert reading.likely_count == (9, 6)
+    assert "shows 9x6 inner corners, not 8x6" in " ".join(reading.problems.values())
+
+
 @pytest.mark.parametrize(
     ("shown", "stated", "says"),
     [

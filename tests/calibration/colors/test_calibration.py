@@ -178,11 +178,16 @@ def read(thesis_rig: Path, photo: str) -> Any:
         ("WP_20180522_08_28_56_Rich.jpg", "WP_20180522_08_28_56_Rich.jpg"),
     ],
 )
+@pytest.mark.parametrize("offset_px", [0.0, 6.0])
 def test_painted_markers_of_real_photos_are_found(
-    thesis_rig: Path, photo_colors: Callable[[str, float], ColorsFile], markers: Any, source: str, target: str
+    thesis_rig: Path,
+    photo_colors: Callable[[str, float], ColorsFile],
+    markers: Any,
+    source: str,
+    target: str,
+    offset_px: float,
 ) -> None:
-    """Each clicked six pixels off its middle."""
-    found = detect(read(thesis_rig, target), photo_colors(source, 6.0), markers)
+    found = detect(read(thesis_rig, target), photo_colors(source, offset_px), markers)
     true = annotated(thesis_rig, target)
     assert set(found) == set(true)
     for name, marker in true.items():

@@ -117,7 +117,7 @@ def test_isaac_teleop_replays_both_hands_joint_by_joint(poses_recording: Path, t
     assert T_stage_rig is not None
     truth = {name: motion.moved(T_stage_rig) for name, motion in motions(messages_of).items()}
     count = len(truth["hand_right"].t_ns)
-    found = read("isaac.py", str(file), str(count), package="isaacteleop")
+    found = read("isaac.py", str(count), str(file), package="isaacteleop")
     for side in ("left", "right"):
         motion, played = truth[f"hand_{side}"], np.array(found[side])
         np.testing.assert_allclose(played[..., :3], motion.positions, atol=1e-6)

@@ -441,7 +441,7 @@ class HandSolver:
         )
 
     def _angles(self, state: HandState, seen: HandObservation, before: FloatArray) -> FloatArray:
-        """Return the angles (5, 4) of the fingers, radians, with those before; those not measured are the filter's."""
+        """Return the angles (5, 4), radians, given those `before`; of fingers that are not measured the filter's."""
         estimated = state.angles.reshape(5, 4)
         if self._fingers is None:
             return estimated

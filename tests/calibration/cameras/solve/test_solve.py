@@ -182,11 +182,11 @@ def test_pictures_of_a_larger_board_are_refused_or_left_out_by_their_size(share:
     assert all("1.30 times as large" in reason for reason in found.left_out.values())
 
 
-def test_a_camera_that_was_bumped_half_way_is_refused_with_the_moment() -> None:
-    """By half a degree; by more in `test_command.py`."""
+@pytest.mark.parametrize("angle_deg", [0.5, 2.0])
+def test_a_camera_that_was_bumped_half_way_is_refused_with_the_moment(angle_deg: float) -> None:
     simulated = simulated_views(2, 2, 24)
     R = np.eye(3)
-    c, s = np.cos(np.radians(0.5)), np.sin(np.radians(0.5))
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     R[1:, 1:] = [[c, -s], [s, c]]
     camera = simulated.cameras["right"]
     views = dict(simulated.views.views)
