@@ -68,7 +68,6 @@ _TRACKS, _SOLVER = "rhot_fusion.filter.tracks", "rhot_ik.hand.solver"
 
 TERMS: Final[Mapping[str, Change]] = {
     "correlated acceleration": ((_MOTION, "_PERSISTS_S", 1e-3),),
-    "rotation of the hand in the motion model": ((_MOTION, "_TURNING", 1e-6),),
     "fingers come to rest": ((_MOTION, "_JOINING_S", 1e6),),
     "abrupt stops": ((_MOTION, "_ABRUPT", 0.0),),
     "several noise intensities": (
@@ -92,9 +91,7 @@ TERMS: Final[Mapping[str, Change]] = {
     "error of the calibration": (("rhot_fusion.filter.systematic", "CALIBRATION_DOUBT", 0.0),),
     "error of the paint model": (("rhot_fusion.filter.systematic", "_SHAPE", 0.0),),
     "bridge to a re-appearance (smoothing)": (("rhot_fusion.filter.smoothing.smoother", "_BRIDGE_S", 0.0),),
-    "palm shares the patch's offset": ((_SOLVER, "_PALM_SHARE", 0.0),),
     "fast fingers diffuse faster": ((_HAND, "_MOST_ACTIVITY", 1.0),),
-    "outliers of tips lose weight": ((_HAND, "_OUTLIER", 1e6),),
     "outliers of the patch lose weight": ((_HAND, "_TURN_OUTLIER", 1e6),),
     "a lost hand is looked for again": ((_SOLVER, "_LOST_S", 1e9),),
     "a quarter turn is corrected": ((_SOLVER, "_QUARTER_TURN", 1e9),),

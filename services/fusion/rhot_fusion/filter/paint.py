@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Final
 
@@ -134,6 +133,10 @@ class _Shown:
     changing: float = 0.0
     wider: float = 1.0
 
+    def copy(self) -> _Shown:
+        """Return a copy; `copy.copy` takes ten times as long, in every frame."""
+        return _Shown(self.t_s, self.width_m, self.shrinking, self.slow_m, self.own, self.changing, self.wider)
+
     def expected_m(self, t_s: float, shrinking: float) -> float:
         """Return the width extrapolated to a later time, at its own rate or at `shrinking` if that is lower."""
         return self.width_m * max(1.0 - min(self.shrinking, shrinking) * (t_s - self.t_s), 0.0)
@@ -185,7 +188,7 @@ class Paint:
 
     def before(self, camera: int) -> PaintBefore:
         """Return what the next frame of a camera will change; `restore` undoes that frame."""
-        shown = [copy(cameras[camera]) for cameras in self._shown]
+        shown = [cameras[camera].copy() for cameras in self._shown]
         return PaintBefore(camera, shown, self._skin.of_camera(camera), list(self._largest_m), list(self.bend))
 
     def restore(self, before: PaintBefore) -> None:

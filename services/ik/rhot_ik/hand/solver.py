@@ -27,11 +27,6 @@ from rhot_ik.hand.track import HandSolution, HandTrack
 _WELL_MEASURED_M: Final = 0.01
 """A marker with a larger standard deviation says little of the palm: only one camera sees it."""
 
-_PALM_SHARE: Final = 0.24
-"""A patch that seems to sit nearer to the knuckles may as well be on a palm that is shorter than the model's; nothing
-that is seen tells these apart. The share of the palm in their variance: of its 93 mm, the 65 mm of the metacarpal
-differ by 5 to 8 % in people whose hands have one length (`_FINGER_SHARE` of the process model), which is 4.5 mm.
-"""
 _LOST_S: Final = 0.3
 """When the seen tips miss the model by more than wrong proportions explain for this long, the hand is looked for
 again: a wild marker lasts no longer."""
@@ -418,11 +413,10 @@ class HandSolver:
 
     def _solution_of(self, track: HandTrack) -> HandSolution:
         state, seen = track.state, track.seen
-        shorter_palm_m = -_PALM_SHARE * float(state.person[2])
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = state.R, state.p - shorter_palm_m * state.R[:, 2]
+        T[:3, :3], T[:3, 3] = state.R, state.p
         positions, orientations, modelled = self._kinematics.pose(
-            state.R, state.p, track.angles.reshape(-1), state.longer, shorter_palm_m
+            state.R, state.p, track.angles.reshape(-1), state.longer
         )
         gaps = modelled - seen.tips
         # NaN where a tip was not seen, as it came.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rhot.anatomy.hand import HandModel
-from rhot.anatomy.skeleton import FINGERS, JOINTS
+from rhot.anatomy.skeleton import FINGERS
 from rhot.geometry.rotations import rotation_from_quaternion, rotation_from_vector
 from rhot.messages import Side
 from rhot.rig import HandFile, MarkerConfig
@@ -52,19 +52,3 @@ def test_derivatives_are_those_of_small_differences(side: Side) -> None:
         difference = (kinematics.markers(moved, lengths)[0] - tips) / 1e-6
         assert np.allclose(difference[finger], J[finger, :, column], atol=1e-6)
         assert np.allclose(np.delete(difference, finger, axis=0), 0.0, atol=1e-9)
-
-
-def test_a_shorter_palm_moves_the_wrist_towards_the_knuckles_and_no_finger() -> None:
-    kinematics, q = HandKinematics(geometry_of("right")), np.full(20, 0.2)
-    R, p = rotation_from_vector(np.array([0.1, 0.2, 0.3])), np.array([0.1, 0.2, 0.7])
-    one, _, tips = kinematics.pose(R, p, q, np.zeros(5))
-    other, _, same = kinematics.pose(R, p, q, np.zeros(5), 0.010)
-    moved = np.linalg.norm(other - one, axis=1)
-    assert np.allclose(tips, same)
-    assert np.allclose(moved[JOINTS.index("wrist")], 0.010)
-    assert np.allclose(moved[JOINTS.index("palm")], 0.005)
-    assert np.allclose(moved[[JOINTS.index(name) for name in JOINTS if "proximal" in name or "tip" in name]], 0.0)
-    knuckle = one[JOINTS.index("middle_proximal")]
-    wrists = np.array([one, other])[:, JOINTS.index("wrist")]
-    near, far = np.linalg.norm(wrists - knuckle, axis=1)
-    assert far < near - 0.0099

@@ -48,15 +48,13 @@ _MOST_ACTIVITY: Final = 30.0
 """Fingers that move faster than they usually do get up to this many times their diffusion. A finger turns at most at
 some 20 rad/s, usually at 2 to 4.
 """
-_OUTLIER: Final = 10.0
-"""A tip that many standard deviations off loses weight."""
 _TURN_OUTLIER: Final = 3.0
 """A patch's rotation that many standard deviations off loses weight, with the fourth power of it. Of those 30 to 45°
 off what was expected half were wrong by over 15°, beyond that 61 % by over 30° (fast hands of `rhot evaluate
 motion`, 30 fps, develop seeds 0 to 29): cameras out of step, another order of corners.
 """
 _MISS_M: Final = 0.012
-"""And one that no pose within the limits meets within this."""
+"""A tip that no pose within the limits meets within this loses weight."""
 
 # Joint limits as inequality constraints on the estimate.
 #
@@ -311,7 +309,7 @@ class HandFilter(HandProcess):
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return P inflated for hands that move faster than usual, P·Hᵀ, H·P·Hᵀ and the noise (7, 3, 3).
 
-        The noise of outliers is raised.
+        The noise of a patch's rotation that is an outlier is raised.
         """
         PHt = prior.P @ H.T
         S = H @ PHt
@@ -323,18 +321,15 @@ class HandFilter(HandProcess):
             noise = noise.copy()
             noise[6] *= unlikely**2
         nis = nis[:5] / 3.0
-        if float(nis.max()) > 1.0:
-            noise = noise.copy()
-            noise[:5] *= np.maximum(1.0, 3.0 * nis / _OUTLIER**2)[:, None, None]
-            if prior.stationary_share > 0.0:
-                times = np.sqrt(np.minimum(np.maximum(nis, 1.0), _MOST_ACTIVITY) - 1.0)
-                times = np.where(rows.seen[:5], times, times[rows.seen[:5]].mean())
-                more = np.repeat(times, 4)
-                P = prior.P.copy()
-                room = prior.stationary_share * more[:, None] * self._stationary * more
-                P[ANGLES, ANGLES] += room
-                PHt[ANGLES] += room @ H[:, ANGLES].T
-                S = H @ PHt
+        if prior.stationary_share > 0.0 and float(nis.max()) > 1.0:
+            times = np.sqrt(np.minimum(np.maximum(nis, 1.0), _MOST_ACTIVITY) - 1.0)
+            times = np.where(rows.seen[:5], times, times[rows.seen[:5]].mean())
+            more = np.repeat(times, 4)
+            P = prior.P.copy()
+            room = prior.stationary_share * more[:, None] * self._stationary * more
+            P[ANGLES, ANGLES] += room
+            PHt[ANGLES] += room @ H[:, ANGLES].T
+            S = H @ PHt
         return P, PHt, S, noise
 
     def _downweighted(

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from rhot.anatomy.hand import METACARPALS, MOVING, PALM, WRIST
+from rhot.anatomy.hand import MOVING
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
 from rhot.geometry.rotations import product_matrix, quaternion_from_rotation
@@ -27,8 +27,6 @@ _TERMS: Final = 20
 _MOVING_BONES: Final = MOVING[:, :3].reshape(15)
 _MOVING_ENDS: Final = MOVING[:, 1:].reshape(15)
 _TIPS: Final = MOVING[:, 3].copy()
-_CARPAL: Final = np.array([WRIST, *METACARPALS[1:]])
-"""Joints that stand still in the wrist; the thumb's first joint, which moves, is known by what it moves."""
 
 
 class HandKinematics:
@@ -59,8 +57,6 @@ class HandKinematics:
         self._longer = np.array([1.0, 1.0, 1.0, *([1.0, 1.0, 1.0, 1.0, 0.0] * 3)])
         rest = model.forward_local(np.zeros((5, 4)))
         self._positions, self._orientations = rest.positions, quaternion_from_rotation(rest.rotations)
-        self._by_shorter_palm = np.zeros_like(rest.positions)
-        self._by_shorter_palm[_CARPAL, 2], self._by_shorter_palm[PALM, 2] = -1.0, -0.5
         # Abduction about y, then bends about −x, of the products of the half angles' sines and cosines.
         bent = np.zeros((4, 4))
         bent[(1, 2, 0, 3), (0, 1, 2, 3)] = -1.0, 1.0, 1.0, 1.0
@@ -117,7 +113,7 @@ class HandKinematics:
         return derivatives
 
     def pose(
-        self, R: FloatArray, p: FloatArray, q: FloatArray, longer: FloatArray, shorter_palm_m: float = 0.0
+        self, R: FloatArray, p: FloatArray, q: FloatArray, longer: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the hand in the rig frame, with its wrist at R (3, 3), p (3,).
 
@@ -125,15 +121,13 @@ class HandKinematics:
             R, p: wrist to rig, metres.
             q: (20,) radians, finger by finger.
             longer: (5,) by which share each finger is longer than the model's.
-            shorter_palm_m: by how much the wrist lies nearer to the knuckles than the model has it; R, p are those of
-                the wrist as the model has it.
 
         Returns:
             Positions (26, 3), metres, and unit quaternions (26, 4), x y z w, of all joints, and the markers (5, 3).
         """
         chain = (self._chain @ self._terms(q)).reshape(5, 4, 3) * (1.0 + longer)[:, None, None]
         chain += self._all_knuckles
-        positions = self._positions + shorter_palm_m * self._by_shorter_palm
+        positions = self._positions.copy()
         positions[_MOVING_ENDS] = chain[:, :3].reshape(15, 3)
         bent = _products(_circular(0.5 * (self._turns @ q))).reshape(5, 3, 4) @ self._bent
         orientations = self._orientations.copy()
