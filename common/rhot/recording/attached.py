@@ -13,7 +13,7 @@ from typing import Final
 from rhot.errors import ConfigError, RhotError
 from rhot.recording.mcap.writer import RIG_PREFIX
 from rhot.recording.messages import RecordedMessages
-from rhot.rig.folder import Rig, load_rig
+from rhot.rig.folder import RIG_FILE, Rig, load_rig
 
 _RIG_NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
 
@@ -52,6 +52,8 @@ def unpack_rig(attachments: Mapping[str, bytes], folder: Path, recording: Path) 
     found = {name.removeprefix(RIG_PREFIX): data for name, data in attachments.items() if name.startswith(RIG_PREFIX)}
     if not found:
         raise ConfigError(f"{recording}: no rig folder is attached; name the rig with --rig")
+    if RIG_FILE not in found:
+        raise ConfigError(f"{recording}: the rig in it has lost its {RIG_FILE}; name the rig with --rig")
     path = folder / "rig"
     try:
         path.mkdir()

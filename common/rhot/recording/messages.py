@@ -28,7 +28,6 @@ class RecordedMessages:
     Attributes:
         path: the file.
         attachments: files inside an MCAP file, by name.
-        note: what is missing from a file that was cut off; empty for a complete one.
         invalid: messages left out by the last iteration because they or their keys are not valid, or because there are
             more keys than a rig has.
     """
@@ -43,7 +42,18 @@ class RecordedMessages:
         self.invalid = 0
         self._recording = open_mcap(path) if is_mcap(path) else None
         self.attachments = self._recording.attachments if self._recording else {}
-        self.note = self._recording.note if self._recording else ""
+
+    @property
+    def note(self) -> str:
+        """What is missing from a file that was cut off or is damaged, as far as it was read; empty for a whole one."""
+        recording = self._recording
+        return "" if recording is None else "; ".join(filter(None, (recording.note, *recording.damage)))
+
+    @property
+    def lost(self) -> list[str]:
+        """What the last iteration left out, as sentences."""
+        invalid = [f"{self.path}: {self.invalid} messages are not valid and are left out"] if self.invalid else []
+        return [self.note, *invalid] if self.note else invalid
 
     def span_ns(self) -> tuple[int, int]:
         """Return the times of the first and the last message: arrival in an MCAP file, else capture; (0, 0) of none."""
@@ -66,9 +76,14 @@ class RecordedMessages:
             leave_out: a model whose keys are named alone, without payloads.
         """
         if self._recording is None:
-            for _, key, model, value in self._lines():
+            for number, key, model, value in self._lines():
                 if keys is None or key in keys:
-                    yield key, model, [] if model is leave_out else [msgpack.packb(value)]
+                    try:
+                        packed = [] if model is leave_out else [msgpack.packb(value)]
+                    except (OverflowError, ValueError) as error:
+                        # A whole number of more than 64 bits or half of a surrogate pair.
+                        raise ConfigError(f"{self.path}, line {number}: {key}: not a message: {error}") from error
+                    yield key, model, packed
             return
         self.invalid = 0
         tally = Tally()

@@ -36,6 +36,7 @@ class Retracked:
         feet, objects: of the recording; None where it has none.
         passed_on: messages that stay as they are.
         beside: files that objects were read from.
+        lost: what could not be read of its messages, as sentences.
     """
 
     rig: Rig
@@ -45,6 +46,7 @@ class Retracked:
     objects: PlayedObjects | None
     passed_on: list[tuple[str, Message]]
     beside: list[Path]
+    lost: list[str]
 
     def tracker(self, *, smooth: bool) -> OfflineTracker:
         """Return a fresh tracker for it.
@@ -84,6 +86,7 @@ def open_recorded(path: Path, rig: Rig | Path | None, stack: ExitStack) -> Retra
             objects=objects or None,
             passed_on=[],
             beside=beside if objects else [],
+            lost=[text for source in sources for text in source.lost],
         )
     source = RecordedMessages(path)
     if loaded is None:
@@ -106,7 +109,8 @@ def open_recorded(path: Path, rig: Rig | Path | None, stack: ExitStack) -> Retra
             f"{path}: camera {strangers[0]} is none of the rig's ({', '.join(loaded.config.cameras)}); name the "
             "rig that it was recorded with"
         )
-    return Retracked(loaded, frames, len(frames), None, MessagesBeside(things) or None, passed_on, [])
+    played = MessagesBeside(things) or None
+    return Retracked(loaded, frames, len(frames), None, played, passed_on, [], source.lost)
 
 
 def _carried(sources: Iterable[RecordedMessages], path: Path, stack: ExitStack) -> Rig:

@@ -134,6 +134,25 @@ def test_a_recording_that_was_cut_off_opens_up_to_its_last_complete_chunk(tmp_pa
     assert seen >= {0, 30, 60, 90, 120, len(wanted)}
 
 
+@pytest.mark.parametrize("step", [10_000, -700], ids=["added", "missing"])
+def test_bytes_that_were_added_or_are_missing_cost_what_follows_them(tmp_path: Path, step: int) -> None:
+    """The index at the end still reads well then, and points to nothing."""
+    wanted, file = samples(), tmp_path / "a.mcap"
+    write(file, wanted, flush_every=30)
+    content = bytearray(file.read_bytes())
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    at = summary.chunk_indexes[2].chunk_start_offset + 100
+    content[at : at - min(step, 0)] = content[at : at + max(step, 0)] * 2
+    file.write_bytes(content)
+    recording = open_mcap(file)
+    assert list(recording.samples()) == wanted[:60]
+    assert f"damaged at byte {summary.chunk_indexes[2].chunk_start_offset}" in "".join(
+        (recording.note, *recording.damage)
+    )
+
+
 def test_what_a_file_system_had_not_written_counts_as_lost(tmp_path: Path) -> None:
     """After a power failure a file may have its length, but zeros where its last bytes belong."""
     wanted, file = samples(), tmp_path / "a.mcap"

@@ -241,6 +241,14 @@ def test_what_is_no_recording_says_so(tmp_path: Path, text: str) -> None:
         rhot.load(file)
 
 
+@pytest.mark.parametrize("value", [str(1 << 70), '"\\ud800"'])
+def test_what_no_message_can_hold_names_its_line(tmp_path: Path, value: str) -> None:
+    file = tmp_path / "x.jsonl"
+    file.write_text(f'{{"key": "rhot/points", "value": {{"t_ns": {value}}}}}\n')
+    with pytest.raises(ConfigError, match=r"x\.jsonl, line 1: rhot/points: not a message"):
+        rhot.load(file)
+
+
 def test_importing_rhot_loads_nothing_heavy() -> None:
     heavy = ["numpy", "zenoh", "pydantic", "pandas", "xarray", "cv2", "mcap"]
     script = f"import sys, rhot; print([m for m in {heavy} if m in sys.modules])"

@@ -106,6 +106,18 @@ def test_pictures_of_the_least_certain_moments_are_in_it(trial: Path, tmp_path: 
     assert out.read_text().count("data:image/jpeg;base64,") == 3
 
 
+def test_a_trial_that_lost_a_part_is_doubtful(trial: Path, tmp_path: Path) -> None:
+    copy, out = tmp_path / "a.mcap", tmp_path / "report.html"
+    content = trial.read_bytes()
+    half = len(content) // 2
+    copy.write_bytes(content[:half] + bytes(300) + content[half:])
+    assert run(str(copy), "--out", str(out)).exit_code == 0
+    verdict = trial_of(copy, None).verdict
+    assert verdict.level == "doubtful"
+    assert "a.mcap: damaged at byte" in verdict.findings[0].text
+    assert "a.mcap: damaged at byte" in out.read_text()
+
+
 def test_what_was_not_tracked_says_so(tmp_path: Path) -> None:
     file = tmp_path / "empty.jsonl"
     file.write_text("")

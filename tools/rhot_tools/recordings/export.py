@@ -230,7 +230,7 @@ def _write_archives(
 
 def _rate_of(take: Take) -> float:
     """Return the rate of the fastest track, whole hertz."""
-    return float(max(round(real_rate_hz(track.t_ns)) for track in take.tracks.values()))
+    return float(max((round(real_rate_hz(track.t_ns)) for track in take.tracks.values()), default=1))
 
 
 def _write_viewer_files(
@@ -362,9 +362,6 @@ def export(
         raise click.UsageError("several files: --join makes one of the parts of a recording; export others one by one")
     parts = joined_parts(files) if join else [RecordedMessages(files[0])]
     errors = Console(stderr=True, soft_wrap=True, markup=False)
-    for part in parts:
-        if part.note:
-            errors.print(part.note, style="yellow")
     if csv_folder is not None or parquet_folder is not None:
         _write_tables(parts, csv_folder, parquet_folder)
     rig = rig_of(parts) if rig_path is None else load_rig(rig_path)
@@ -380,9 +377,6 @@ def export(
     if any(each is not None for each in archives):
         _write_archives(files, rig, nwb, bids, bids_name, mat, netcdf, rate_hz)
     _write_viewer_files(parts, {} if rig is None else rig.cameras, foxglove_file, rerun_file)
-    invalid = sum(part.invalid for part in parts)
-    if invalid:
-        errors.print(f"{invalid} messages are not valid and are left out", style="yellow")
     verdict = judged_recording(parts, rig)
     verdict.print(errors)
     return verdict.exit_code

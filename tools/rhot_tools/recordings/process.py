@@ -95,7 +95,7 @@ def run(job: Job, progress: Progress | None = None) -> Done:
                 looked_at = _advance(progress, task, recorded, message, looked_at, smooth=job.smooth)
         if recorded.feet is not None and not any(key.startswith("rhot/foot/") for key in counts):
             remarks.append("no foot was found: are the markers those of rig.toml, and was the head tracked meanwhile?")
-        return Done(remarks, counts, judge.verdict(tracker.problems))
+        return Done(remarks, counts, judge.verdict(tracker.problems, recorded.lost))
 
 
 def _advance(

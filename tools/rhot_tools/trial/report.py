@@ -100,7 +100,9 @@ def trial_of(file: Path, rig: Rig | None) -> Trial:
         steps = np.diff(np.array(frames))
         lost[camera] = int(np.sum(steps[steps > 0] - 1)), int(np.sum(steps[steps > 0])) + 1
     fingers = {side: finger_figures(take, hand, rig) for side, hand in sorted(take.hands.items())}
-    return Trial(file, take, judge.verdict(), rig, lost, max(clocks, default=float("nan")), heard, fingers)
+    return Trial(
+        file, take, judge.verdict(lost=source.lost), rig, lost, max(clocks, default=float("nan")), heard, fingers
+    )
 
 
 # The figures of a hand.
@@ -238,8 +240,6 @@ def _of_trial(number: int, trial: Trial, *, heading: bool) -> str:
     if trial.take.events:
         labels = ", ".join(event.label for event in trial.take.events[:20])
         figures.append(("events", str(len(trial.take.events)), labels))
-    if trial.take.invalid:
-        figures.append(("invalid messages", str(trial.take.invalid), "left out"))
     rows = "".join(
         f"<tr><td>{escape(name)}</td><td class='number'>{escape(value)}</td><td><small>{escape(note)}</small></td></tr>"
         for name, value, note in figures

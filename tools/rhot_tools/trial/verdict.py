@@ -8,7 +8,7 @@ impossible jumps, whether the cameras stand as they were calibrated, and what th
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Final, Literal
@@ -21,6 +21,7 @@ from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel, rays_meet_ahead
 from rhot.messages import HandPose, MarkerFrame, Message, PointSet, ServiceStatus
+from rhot.recording.messages import RecordedMessages
 from rhot.report.html import figures_table
 from rhot.rig import Rig
 from rhot.rig.cameras import camera_models
@@ -78,16 +79,16 @@ class TrialVerdict:
 
     def print(self, console: Console) -> None:
         """Print figures, findings and the verdict."""
-        if not self.judged:
-            return
-        table = figures_table("trial", "value")
-        table.add_column("")
-        for row in self.figures:
-            table.add_row(*row)
-        console.print(table)
+        if self.judged:
+            table = figures_table("trial", "value")
+            table.add_column("")
+            for row in self.figures:
+                table.add_row(*row)
+            console.print(table)
         for finding in self.findings:
             console.print(Text(f"{finding.level}: {printable(finding.text, 500)}", style=_COLORS[finding.level]))
-        console.print(Text(f"verdict: {self.level}", style=f"bold {_COLORS[self.level]}"))
+        if self.judged:
+            console.print(Text(f"verdict: {self.level}", style=f"bold {_COLORS[self.level]}"))
 
 
 @dataclass(slots=True)
@@ -183,10 +184,16 @@ class TrialJudge:
         if len(misses) > 1:
             kept.residuals_m.append(sum(misses) / len(misses))
 
-    def verdict(self, problems: Mapping[str, str] | None = None) -> TrialVerdict:
-        """Return the verdict on what was added; `problems` are those of the cores that tracked it, by their names."""
+    def verdict(self, problems: Mapping[str, str] | None = None, lost: Sequence[str] = ()) -> TrialVerdict:
+        """Return the verdict on what was added.
+
+        Args:
+            problems: of the cores that tracked it, by their names.
+            lost: what could not be read of its files.
+        """
+        missing = tuple(Finding("doubtful", text) for text in lost)
         if sum(self._frames.values()) < LEAST_FRAMES:
-            return TrialVerdict((), (), judged=False)
+            return TrialVerdict((), missing, judged=False)
         figures: list[tuple[str, str, str]] = []
         seconds = 1e-9 * (self._span_ns[1] - self._span_ns[0])
         counts = ", ".join(f"{name} {count}" for name, count in sorted(self._frames.items()))
@@ -204,7 +211,7 @@ class TrialJudge:
             hands = []
         told = [Finding("not usable", text) for texts in stated.values() for text in texts]
         # Causes before what follows from them.
-        return TrialVerdict(tuple(figures), (*cameras, *told, *hands, *jumps, *coverage))
+        return TrialVerdict(tuple(figures), (*missing, *cameras, *told, *hands, *jumps, *coverage))
 
     def _stated(self, problems: Mapping[str, str]) -> dict[str, list[str]]:
         """Return what the services complained of for long, by service."""
@@ -377,9 +384,9 @@ def _pair_fit(
     return float(np.median(np.abs(pair.residual_px))), float(np.mean(ahead))
 
 
-def judged_recording(parts: Iterable[Iterable[tuple[str, Message]]], rig: Rig | None) -> TrialVerdict:
-    """Return the verdict on the messages of a recording, in parts."""
+def judged_recording(parts: Sequence[RecordedMessages], rig: Rig | None) -> TrialVerdict:
+    """Return the verdict on a recording, in parts."""
     judge = TrialJudge(rig)
     for part in parts:
         judge.add_all(part)
-    return judge.verdict()
+    return judge.verdict(lost=[text for part in parts for text in part.lost])

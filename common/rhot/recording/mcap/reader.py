@@ -111,12 +111,17 @@ class McapRecording:
     start_ns: int
     end_ns: int
     _chunks: tuple[_ChunkSpan, ...]
-    _damaged: set[int] = field(default_factory=set)
+    _damaged: dict[int, str] = field(default_factory=dict)
 
     @property
     def keys(self) -> tuple[str, ...]:
         """All keys in the order of their first samples."""
         return tuple(dict.fromkeys(channel.key for channel in self.channels.values()))
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """What of its chunks could not be read, as far as they have been."""
+        return tuple(self._damaged.values())
 
     def samples(self, from_ns: int | None = None, to_ns: int | None = None) -> Iterator[RecordedSample]:
         """Yield the samples in the order in which they arrived; what is damaged is left out, and the log says so once.
@@ -164,7 +169,7 @@ class McapRecording:
         """Log a damaged chunk, once however often the file is read."""
         if span.offset not in self._damaged:
             logger.warning("%s", error)
-        self._damaged.add(span.offset)
+        self._damaged[span.offset] = str(error)
 
     def _sample(self, record: MessageRecord, span: _ChunkSpan) -> RecordedSample:
         channel = self.channels.get(record.channel_id)
@@ -209,7 +214,7 @@ def open_mcap(path: Path) -> McapRecording:
         path=path,
         channels={number: _recorded(channel, scan.schemas) for number, channel in scan.channels.items()},
         attachments=scan.attachments,
-        note="" if scan.complete else _cut_off(path, size - scan.end),
+        note="" if scan.complete else _incomplete(path, scan, size - scan.end),
         start_ns=min((span.start_ns for span in scan.chunks), default=0),
         end_ns=max((span.end_ns for span in scan.chunks), default=0),
         _chunks=tuple(scan.chunks),
@@ -217,7 +222,10 @@ def open_mcap(path: Path) -> McapRecording:
 
 
 class _Scan:
-    """What lies where in a file; `end` is the end of the last complete chunk or, before the first, of what was read."""
+    """What lies where in a file; `end` is the end of the last complete chunk or, before the first, of what was read.
+
+    A file that `ends_whole` without being complete is damaged before its end; others were cut off.
+    """
 
     def __init__(self) -> None:
         self.chunks: list[_ChunkSpan] = []
@@ -225,6 +233,7 @@ class _Scan:
         self.schemas: dict[int, Schema] = {}
         self.attachments: dict[str, bytes] = {}
         self.complete = False
+        self.ends_whole = False
         self.end = len(MCAP0_MAGIC)
 
     def describe(self, record: Channel | Schema | MessageRecord) -> None:
@@ -238,7 +247,8 @@ def _scan(path: Path, stream: IO[bytes], size: int) -> _Scan:
     scan = _Scan()
     offset = len(MCAP0_MAGIC)
     stream.seek(-len(MCAP0_MAGIC), io.SEEK_END)
-    ends_whole = size >= 2 * len(MCAP0_MAGIC) and stream.read() == MCAP0_MAGIC
+    scan.ends_whole = size >= 2 * len(MCAP0_MAGIC) and stream.read() == MCAP0_MAGIC
+    problem: ConfigError | None = None
     while offset + _RECORD_HEAD.size <= size:
         stream.seek(offset)
         opcode, length = _RECORD_HEAD.unpack(stream.read(_RECORD_HEAD.size))
@@ -249,13 +259,23 @@ def _scan(path: Path, stream: IO[bytes], size: int) -> _Scan:
         try:
             _add_record(scan, stream, opcode, body, length)
         except Exception as error:
-            if ends_whole:
-                return _scan_summary(path, stream, size)
-            raise _unreadable(path, body, error) from error
-        if opcode == Opcode.FOOTER:
-            scan.complete = ends_whole and offset + len(MCAP0_MAGIC) == size
+            problem = _unreadable(path, body, error)
             break
-    return _scan_summary(path, stream, size) if ends_whole and not scan.complete else scan
+        if opcode == Opcode.FOOTER:
+            scan.complete = scan.ends_whole and offset + len(MCAP0_MAGIC) == size
+            break
+    if scan.ends_whole and not scan.complete:
+        try:
+            indexed = _scan_summary(path, stream, size)
+        except ConfigError as error:
+            problem = problem or error
+        else:
+            # Bytes that were added or are missing before it make the index point to nothing.
+            if len(indexed.chunks) >= len(scan.chunks):
+                return indexed
+    if problem is not None and not scan.chunks:
+        raise problem
+    return scan
 
 
 def _scan_summary(path: Path, stream: IO[bytes], size: int) -> _Scan:
@@ -418,7 +438,12 @@ def _recorded(channel: Channel, schemas: dict[int, Schema]) -> RecordedChannel:
     return RecordedChannel(channel.topic, encoding)
 
 
-def _cut_off(path: Path, lost: int) -> str:
+def _incomplete(path: Path, scan: _Scan, lost: int) -> str:
+    if scan.ends_whole:
+        return (
+            f"{path}: damaged at byte {scan.end}: it opens up to there, the {lost} bytes after that are lost; copy it "
+            "again from where it was recorded"
+        )
     return (
         f"{path} was cut off: it opens up to its last complete chunk; {lost} bytes after that, at most about a second, "
         "are lost"
