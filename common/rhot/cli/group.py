@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 import click
@@ -79,6 +80,7 @@ class LazyGroup(click.Group):
             ) from error
         if not isinstance(command, click.Command):
             raise click.ClickException(f"{target} is not a command; {hint}")
+        command.context_class = _Guarded
         return command
 
     def resolve_command(
@@ -108,6 +110,29 @@ class LazyGroup(click.Group):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+class _Guarded(click.Context):
+    """Calls a command unless a file that it would write is one that it reads."""
+
+    def invoke(self, callback: Any, /, *args: Any, **kwargs: Any) -> Any:
+        """Call a function with this context.
+
+        Raises:
+            click.UsageError: an option names the file of an argument.
+        """
+        read, written = list[Path](), list[tuple[click.Parameter, Path]]()
+        for param in self.command.params:
+            value = self.params.get(param.name or "")
+            files = [one for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, Path)]
+            if isinstance(param, click.Argument):
+                read += files
+            else:
+                written += [(param, file) for file in files]
+        for param, file in written:
+            if file.is_file() and any(other.is_file() and file.samefile(other) for other in read):
+                raise click.UsageError(f"{param.opts[-1]} {file} is the file that it reads; choose another name", self)
+        return super().invoke(callback, *args, **kwargs)
 
 
 class MainGroup(LazyGroup):

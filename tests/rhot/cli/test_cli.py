@@ -94,6 +94,22 @@ def test_mistakes_end_in_one_error_that_helps(
     assert not (tmp_path / "out.jsonl").exists()
 
 
+@pytest.mark.parametrize(
+    "words", [("report", "a.jsonl", "--out"), ("export", "a.jsonl", "--nwb"), ("export", "a.jsonl", "--foxglove")]
+)
+@pytest.mark.parametrize("name", ["a.jsonl", "link.jsonl"])
+def test_no_command_writes_over_what_it_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.jsonl").write_text("recorded\n")
+    Path("link.jsonl").hardlink_to("a.jsonl")
+    done = CliRunner().invoke(main, [*words, name])
+    assert done.exit_code == 2
+    assert f"{words[-1]} {name} is the file that it reads; choose another name" in done.output
+    assert Path("a.jsonl").read_text() == "recorded\n"
+
+
 def test_init_makes_a_rig_that_doctor_understands(tmp_path: Path) -> None:
     assert rhot("init", str(tmp_path / "desk")).returncode == 0
     done = rhot("doctor", "--rig", str(tmp_path / "desk"), "--connect", NOBODY)

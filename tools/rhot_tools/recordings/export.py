@@ -355,16 +355,13 @@ def export(
             "say what to write: --csv, --parquet, --gltf, --bvh, --trc, --mot, --osim, --c3d, --nwb, --bids, --mat, "
             "--netcdf, --isaac, --foxglove or --rerun"
         )
-    for option, file in (("--foxglove", foxglove_file), ("--isaac", isaac)):
-        if file is not None and file.resolve() in [each.resolve() for each in files]:
-            raise click.UsageError(f"{option} {file} is the recording itself; choose another name")
     if len(files) > 1 and not join:
         raise click.UsageError("several files: --join makes one of the parts of a recording; export others one by one")
     parts = joined_parts(files) if join else [RecordedMessages(files[0])]
     errors = Console(stderr=True, soft_wrap=True, markup=False)
+    rig = rig_of(parts) if rig_path is None else load_rig(rig_path)
     if csv_folder is not None or parquet_folder is not None:
         _write_tables(parts, csv_folder, parquet_folder)
-    rig = rig_of(parts) if rig_path is None else load_rig(rig_path)
     if targets.any:
         T_stage_rig = stage_of(chain.from_iterable(parts), rig)
         found = motions(chain.from_iterable(parts), measured=measured)
