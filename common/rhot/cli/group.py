@@ -166,13 +166,18 @@ class MainGroup(LazyGroup):
         except KeyboardInterrupt:
             self._exit(EXIT_INTERRUPTED)
         except OSError as error:
-            self._end_without_output(error)
+            if error.filename is None or isinstance(error, BrokenPipeError):
+                self._end_without_output(error)
+            # Such as a name that is too long, or a cache of some library that cannot be written.
+            logger.debug("refused by the system", exc_info=True)
+            click.echo(f"rhot: error: {printable_lines(str(error.filename))}: {error.strerror}", err=True)
+            self._exit(EXIT_ERROR)
         self._exit(result if isinstance(result, int) else 0)
 
     def _end_without_output(self, error: OSError) -> None:
         """End after output that could not be written; what else the system refuses is an error of ours, and raised."""
         is_full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-        if not isinstance(error, BrokenPipeError) and (error.filename is not None or not is_full):
+        if not (isinstance(error, BrokenPipeError) or is_full):
             raise error
         # The reader of our output (`head`, `less`) has gone, or its disk is full; Python would complain once more at
         # exit.
@@ -187,7 +192,13 @@ class MainGroup(LazyGroup):
 
 
 def _write_what_can_be_written() -> None:
-    """Let a terminal or file whose encoding lacks a character (Latin-1, ASCII) show a question mark in its place."""
+    """Let a terminal or file whose encoding lacks a character (Latin-1, ASCII) show a question mark in its place.
+
+    What was closed before (`>&-`) becomes the null device, or the next file that is opened would take its number.
+    """
+    if sys.stdout is None or sys.stderr is None:
+        nowhere = Path(os.devnull).open("w")  # noqa: SIM115 - for as long as the program runs
+        sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
             stream.reconfigure(errors="replace")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import glob
+import os
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -66,10 +67,16 @@ def unpack_rig(attachments: Mapping[str, bytes], folder: Path, recording: Path) 
     return path
 
 
+def file_beside(folder: Path, suffix: str) -> Path:
+    """Return the file of the same name beside a folder, which may be called `.`; links are not followed."""
+    whole = Path(os.path.abspath(folder))  # noqa: PTH100 - `Path.resolve` follows links
+    return whole.parent / f"{whole.name}{suffix}"
+
+
 def messages_beside(folder: Path) -> list[Path]:
     """Return the MCAP files, in order, that `rhot record --frames` wrote beside a folder of pictures."""
-    whole = folder.with_name(f"{folder.name}.mcap")
-    parts = sorted(folder.parent.glob(f"{glob.escape(folder.name)}-[0-9][0-9][0-9].mcap"))
+    whole = file_beside(folder, ".mcap")
+    parts = sorted(whole.parent.glob(f"{glob.escape(whole.stem)}-[0-9][0-9][0-9].mcap"))
     return [whole] if whole.is_file() else [part for part in parts if part.is_file()]
 
 

@@ -28,7 +28,7 @@ from rhot.messages import (
     encode,
     unpack,
 )
-from rhot.recording.attached import rig_of
+from rhot.recording.attached import file_beside, rig_of
 from rhot.recording.mcap.writer import RIG_PREFIX
 from rhot.recording.messages import RecordedMessages
 from rhot.rig import Rig
@@ -127,12 +127,13 @@ def _file_of(path: Path) -> Path:
     if not path.is_dir():
         return path
     inside = [file for suffix in _SUFFIXES for file in sorted(path.glob(f"*{suffix}"))]
-    beside = [file for suffix in _SUFFIXES if (file := path.with_name(f"{path.name}{suffix}")).is_file()]
+    beside = [file for suffix in _SUFFIXES if (file := file_beside(path, suffix)).is_file()]
     found = inside or beside
     if len(found) != 1:
         what = "several tracked files: " + ", ".join(file.name for file in found) if found else "no tracked file"
         raise ConfigError(
-            f"{path}: {what}; name the file, or track the folder: rhot process {path} --rig RIG --out {path}.mcap"
+            f"{path}: {what}; name the file, or track the folder: rhot process {path} --rig RIG --out "
+            f"{file_beside(path, '.mcap')}"
         )
     return found[0]
 

@@ -110,6 +110,20 @@ def test_no_command_writes_over_what_it_reads(
     assert Path("a.jsonl").read_text() == "recorded\n"
 
 
+@pytest.mark.parametrize("words", ["report a --out LONG", "process LONG --out x", "init LONG", "process / --out x"])
+def test_what_the_system_refuses_is_one_error(words: str) -> None:
+    done = rhot(*words.replace("LONG", 300 * "a").split())
+    assert done.returncode in (1, 2)
+    assert "rhot: error: " in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_an_output_that_is_closed_takes_anything() -> None:
+    words = ["sh", "-c", f"{sys.executable} -m rhot --version >&-"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_init_makes_a_rig_that_doctor_understands(tmp_path: Path) -> None:
     assert rhot("init", str(tmp_path / "desk")).returncode == 0
     done = rhot("doctor", "--rig", str(tmp_path / "desk"), "--connect", NOBODY)

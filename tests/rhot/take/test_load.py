@@ -217,13 +217,15 @@ def test_numbers_that_are_not_finite_are_refused_as_the_model_does() -> None:
     assert columns.invalid == 1
 
 
-def test_a_folder_means_the_file_in_it_or_beside_it(tmp_path: Path) -> None:
+def test_a_folder_means_the_file_in_it_or_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "grasp"
     folder.mkdir()
     with pytest.raises(ConfigError, match="no tracked file; name the file, or track the folder: rhot process"):
         rhot.load(folder)
     write_mcap(tmp_path / "grasp.mcap", session())
     assert len(rhot.load(folder).hands["right"]) == COUNT
+    monkeypatch.chdir(folder)
+    assert len(rhot.load(".").hands["right"]) == COUNT
     write_mcap(folder / "a.mcap", session())
     write_mcap(folder / "b.mcap", session())
     with pytest.raises(ConfigError, match=r"several tracked files: a\.mcap, b\.mcap"):

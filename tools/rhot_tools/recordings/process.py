@@ -21,6 +21,7 @@ from rhot.atomic_file import replacing
 from rhot.cli.options import DEFAULT_RIG
 from rhot.errors import ConfigError, RhotError
 from rhot.messages import FootPose, MarkerFrame, Message, PointSet, encode, encoding_of
+from rhot.recording.attached import file_beside
 from rhot.recording.mcap.writer import McapWriter, attachments_of
 from rhot.rig import Rig
 from rhot.rig.folder import RIG_FILE, settings_files
@@ -80,7 +81,7 @@ def run(job: Job, progress: Progress | None = None) -> Done:
         task = (
             None
             if progress is None
-            else progress.add_task(f"tracking {job.recording.name}, frames", total=recorded.count)
+            else progress.add_task(f"tracking {file_beside(job.recording, '').name}, frames", total=recorded.count)
         )
         for key, message in recorded.passed_on:
             if not job.only or key.startswith(job.only):
@@ -225,12 +226,12 @@ def process(
 
 
 def _target(folder: Path, recording: Path) -> Path:
-    return folder / f"{recording.stem if recording.is_file() else recording.name}.mcap"
+    return folder / (f"{recording.stem}.mcap" if recording.is_file() else file_beside(recording, ".mcap").name)
 
 
 def _default_rig(recording: Path) -> Path | None:
     """Return the rig folder that is meant where none is named: a recording carries its own, pictures do not."""
-    beside = recording.with_name(f"{recording.name}.mcap")
+    beside = file_beside(recording, ".mcap")
     if recording.suffix == ".mcap" or (
         recording.is_dir() and beside.is_file() and not (DEFAULT_RIG / RIG_FILE).exists()
     ):
