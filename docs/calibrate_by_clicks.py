@@ -28,7 +28,7 @@ from page.browser import CHROMIUM, Browser, open_browser, wait_until  # noqa: E4
 from rhot.rig import load_rig  # noqa: E402
 from rhot.rig.folder import RIG_FILE  # noqa: E402
 from rhot_sim.rendering.coverage import MarkerCoverage  # noqa: E402
-from rhot_sim.rig.folder import true_cameras  # noqa: E402
+from rhot_sim.rig.calibration import true_cameras  # noqa: E402
 from rhot_sim.running.processes import free_endpoint  # noqa: E402
 from rhot_sim.world.world import World  # noqa: E402
 from rhot_viewer.scene.viewpoint import PicturePlane  # noqa: E402

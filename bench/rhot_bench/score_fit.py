@@ -35,7 +35,7 @@ from rhot_capture.detection.result import Detection
 from rhot_capture.detection.score import BIAS, RIGHT_PX, WEIGHTS, Evidence
 from rhot_sim.rendering.coverage import MarkerCoverage, MarkerView
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.world.paint import SKIN, paints_of
 from rhot_sim.world.world import World
 

@@ -16,7 +16,7 @@ from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_sim.rendering.coverage import MarkerCoverage
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.world.paint import paints_of
 from rhot_sim.world.world import World
 

@@ -21,7 +21,8 @@ from rhot.recording.mcap.writer import McapWriter
 from rhot.rig import load_rig
 from rhot.rig.template import rig_template
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras, write_simulated_rig
+from rhot_sim.rig.calibration import true_cameras
+from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.rig.schedule import FrameSchedule
 from rhot_sim.world.world import World
 from rhot_tools.recordings.process import process

@@ -15,7 +15,8 @@ import numpy as np
 
 from rhot.rig.toml_edit import change_rig_file
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras, write_simulated_rig
+from rhot_sim.rig.calibration import true_cameras
+from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.world.world import World
 
 MOMENT_S = 1.0

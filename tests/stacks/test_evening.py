@@ -26,7 +26,7 @@ from machine.stacks import SHARE, in_guest
 from rhot.rig import load_rig
 from rhot.rig.toml_edit import change_rig_file
 from rhot_sim.rendering.coverage import MarkerCoverage
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.running.processes import free_endpoint
 from rhot_sim.world.world import World
 

@@ -40,7 +40,7 @@ from rhot.rig.colors import ColorsFile, RgbBoxColor
 from rhot.service.clock_sync import serve_clock
 from rhot.service.configuration import changed, config_answer, digest, parse_change
 from rhot_capture.settings import CameraSettings
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.world.paint import paints_of
 from rhot_sim.world.world import World
 

@@ -25,7 +25,7 @@ from rhot_capture.detection.subpixel.windows import MIN_CONTRAST, MIN_SURROUNDIN
 from rhot_fusion.core import FusionCore
 from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
 from rhot_ik.hand_core import HandCore
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.world.world import World
 from rhot_tools.measures.rows import Row, Section
 

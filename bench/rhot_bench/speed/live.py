@@ -29,7 +29,7 @@ from rhot.rig import Rig, load_rig
 from rhot.rig.toml_edit import change_rig_file
 from rhot_sim.comparison.collect import follow
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
 from rhot_sim.running.processes import bus_of, free_endpoint, with_processes
 from rhot_sim.world.world import World

@@ -27,8 +27,7 @@ from rhot.rig import Rig, load_rig, write_json_model
 from rhot.rig.template import rig_template
 from rhot.service import Node
 from rhot.service.runner import run_service
-from rhot_sim.rig.calibration import simulated_rig_calibration
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import simulated_rig_calibration, true_cameras
 from rhot_sim.world.world import World
 
 NOISE_PX: Final = 0.1

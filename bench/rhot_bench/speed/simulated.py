@@ -24,7 +24,7 @@ from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.timing import marker_frame, row_time_ns
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
 from rhot_sim.world.motion import Motion, MotionSample
 from rhot_sim.world.world import World

@@ -33,7 +33,8 @@ from rhot_bench.hands.accuracy import (
 )
 from rhot_bench.speed.simulated import Cameras, Capture, moments, world_of
 from rhot_sim.rendering.coverage import MarkerCoverage
-from rhot_sim.rig.folder import true_cameras, write_simulated_rig
+from rhot_sim.rig.calibration import true_cameras
+from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.world.world import World
 from rhot_tools.measures.points import PointTrack, false_points, identity_swaps, jitter_m, point_track, true_path
 from rhot_tools.measures.rows import Row, Section

@@ -31,7 +31,8 @@ from rhot_bench.tracking.tracking import MM, RATE_HZ, SETTLE_S, scene_frames
 from rhot_capture.detection.hand.sharing import SharedPaints, Spot
 from rhot_capture.detection.track import MarkerTrack
 from rhot_capture.timing import row_time_ns
-from rhot_sim.rig.folder import true_cameras, with_motion, write_simulated_rig
+from rhot_sim.rig.calibration import true_cameras
+from rhot_sim.rig.folder import with_motion, write_simulated_rig
 from rhot_sim.world.world import World, WorldSample
 from rhot_tools.measures.output import counted, json_option, show
 from rhot_tools.measures.points import PointTrack, false_points, identity_swaps, point_track

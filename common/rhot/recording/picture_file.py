@@ -6,6 +6,7 @@ in calibration as in tracking: a lens belongs to the sensor, and so do the times
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +33,8 @@ def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[Any]:
         ConfigError: it cannot be read, is cut off, or is no picture.
     """
     try:
-        data = file.read_bytes()
+        # Whoever opens a named pipe waits for its writer.
+        data = file.read_bytes() if stat.S_ISREG(file.stat().st_mode) else b""
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {why_unread(error)}") from error
     # The decoder would fill the rest with grey and go on.

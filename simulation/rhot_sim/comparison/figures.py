@@ -112,6 +112,11 @@ def machine_verdict(report: Mapping[str, Any]) -> tuple[bool, str]:
     told = f"{report.get(got, 0.0):.0f} of {cameras * rate_hz:.0f} {what} a second"
     if report.get(got, 0.0) >= _KEPT_UP * cameras * rate_hz:
         return True, f"This machine kept up ({told})."
+    if not report.get(got):
+        return (
+            False,
+            f"Nothing was tracked ({told}); while it runs, `rhot status` shows which service complains of what.",
+        )
     return False, (
         f"This machine did not keep up ({told}): these figures are the machine's, not the tracker's. Try it with "
         f"nothing else running, or with --rate {rate_hz / 2:g}."

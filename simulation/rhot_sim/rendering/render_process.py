@@ -198,7 +198,7 @@ def serve(rig_path: Path, camera: str, path: str) -> None:
     file = os.open(path, os.O_RDWR)
     # Imported here: the parent needs none of it.
     from rhot_sim.rendering.renderer import Renderer  # noqa: PLC0415
-    from rhot_sim.rig.folder import true_cameras  # noqa: PLC0415
+    from rhot_sim.rig.calibration import true_cameras  # noqa: PLC0415
     from rhot_sim.world.world import World  # noqa: PLC0415
 
     become_drawing_child()

@@ -15,8 +15,9 @@ from rhot.arrays import FloatArray
 from rhot.geometry.camera import CameraModel, epipolar_distance, meeting_points
 from rhot.geometry.rotations import inverse, rigid, rotation_from_vector, vector_from_rotation
 from rhot.rig.calibration import CameraCalibration, CamerasFile, today
-from rhot.rig.cameras import camera_entry, camera_model
+from rhot.rig.cameras import camera_entry, camera_model, camera_models
 from rhot.rig.config import CameraConfig
+from rhot.rig.folder import Rig
 from rhot_sim.world.script import seeded
 
 BASELINE_M: Final = 0.075
@@ -79,6 +80,17 @@ def simulated_rig_calibration(cameras: Mapping[str, CameraConfig], seed: int) ->
         found_intrinsics[name] = _intrinsics_found(K, distortion, rng)
     quality = {"source": "simulated", "seed": seed, "errors": "none"}
     return SimulatedCalibration(CamerasFile(date=today(), quality=quality, cameras=truth), found_intrinsics, seed)
+
+
+def true_cameras(rig: Rig) -> dict[str, CameraModel]:
+    """Return the true geometry of a rig's simulated cameras, which their calibration only approaches.
+
+    They stay where they were calibrated when `rig.toml` gets another seed.
+    """
+    made = rig.quality if isinstance(rig.quality, dict) and rig.quality.get("source") == "simulated" else {}
+    seed = made.get("seed")
+    seed = seed if isinstance(seed, int) and seed >= 0 else rig.config.sim.seed
+    return camera_models(simulated_rig_calibration(rig.config.cameras, seed).truth.cameras)
 
 
 def _intrinsics_found(K: FloatArray, distortion: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

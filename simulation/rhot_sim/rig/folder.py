@@ -14,19 +14,17 @@ import numpy as np
 
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.camera import CameraModel
 from rhot.geometry.rotations import rigid, rotation_y
 from rhot.messages import Side
 from rhot.rig import HandFile, RegistrationFile, Rig, RigidTransform, StageFile, load_rig, write_json_model
 from rhot.rig.calibration import today
-from rhot.rig.cameras import camera_models
 from rhot.rig.config import SimConfig
 from rhot.rig.folder import CAMERAS_FILE, HAND_FILE, REGISTRATION_FILE, RIG_FILE, STAGE_FILE, write_text_atomic
 from rhot.rig.template import rig_template
 from rhot.rig.toml_edit import change_rig_file
 from rhot_sim.rendering.coverage import MarkerCoverage
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.calibration import simulated_rig_calibration
+from rhot_sim.rig.calibration import simulated_rig_calibration, true_cameras
 from rhot_sim.world.motion import R_RIG_HAND
 from rhot_sim.world.world import World
 
@@ -132,12 +130,6 @@ def true_stage(sim: SimConfig) -> FloatArray:
     The person sits where the picture's upper edge is and looks towards its lower edge, see `R_RIG_HAND`.
     """
     return rigid(R_RIG_HAND, np.array([0.0, 0.0, sim.desk_z_m + sim.desk_height_m]))
-
-
-def true_cameras(rig: Rig) -> dict[str, CameraModel]:
-    """Return the true geometry of the simulated cameras, which their calibration only approaches."""
-    truth = simulated_rig_calibration(rig.config.cameras, rig.config.sim.seed).truth.cameras
-    return camera_models(truth)
 
 
 def calibrate_colors(path: Path) -> None:

@@ -33,7 +33,7 @@ from rhot_sim.comparison.accuracy import coverage, seconds_since
 from rhot_sim.comparison.collect import Collected, collect
 from rhot_sim.comparison.figures import latency_parts, live_table, service_figures, tracking_figures
 from rhot_sim.rendering.coverage import MarkerCoverage
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.world.world import World
 
 # A simulated run that somebody watches: processes, start signal, a live table or a line now and then, stop.

@@ -16,10 +16,9 @@ from rhot.errors import ConfigError
 from rhot.geometry.rotations import quaternion_from_rotation
 from rhot.messages import BoxShape, Side, TruePose, Truth
 from rhot.messages.base import wire_position
-from rhot.rig.cameras import camera_model
 from rhot.rig.config import MarkerConfig, SimConfig
 from rhot.rig.folder import Rig
-from rhot_sim.rig.calibration import simulated_rig_calibration
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.walker.world import WalkerWorld
 from rhot_sim.world.board import BoardMotion, ChessBoard, LyingBoard
 from rhot_sim.world.motion import (
@@ -308,9 +307,7 @@ def _motion(config: SimConfig, hands: Mapping[Side, HandModel], objects: Sequenc
 def _board_motion(rig: Rig, board: ChessBoard) -> Motion:
     if rig.config.sim.motion == "desk_board":
         return LyingBoard(board, rig.config.sim.desk_z_m)
-    truth = simulated_rig_calibration(rig.config.cameras, rig.config.sim.seed).truth.cameras
-    cameras = [camera_model(camera) for camera in truth.values()]
-    return BoardMotion(rig.config.sim.seed, cameras, board)
+    return BoardMotion(rig.config.sim.seed, list(true_cameras(rig).values()), board)
 
 
 def _joint_poses(joints: HandJoints) -> dict[str, TruePose]:

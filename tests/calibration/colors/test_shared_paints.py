@@ -10,7 +10,7 @@ from rhot.rig.config import SimConfig
 from rhot_bench.speed.scaling import bare_rig
 from rhot_calibration.colors.learning import learn_colors
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.world.motion import StillMotion
 from rhot_sim.world.world import World
 

@@ -11,7 +11,8 @@ from rhot.rig import Rig, load_rig
 from rhot.rig.folder import STAGE_FILE
 from rhot_sim.rendering.renderer import Renderer
 from rhot_sim.rig import folder
-from rhot_sim.rig.folder import true_cameras, with_motion
+from rhot_sim.rig.calibration import true_cameras
+from rhot_sim.rig.folder import with_motion
 from rhot_sim.world.world import World
 
 

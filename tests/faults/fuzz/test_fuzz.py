@@ -26,7 +26,8 @@ from rhot.operation.control import broadcast
 from rhot.operation.status import fetch_status
 from rhot.operation.supervisor import Supervisor
 from rhot.rig import BusConfig, load_rig
-from rhot_sim.rig.folder import true_cameras, write_simulated_rig
+from rhot_sim.rig.calibration import true_cameras
+from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.running.processes import free_endpoint
 from rhot_sim.world.world import World
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -38,3 +39,9 @@ def test_what_is_no_picture_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.png").write_text("no picture")
     with pytest.raises(ConfigError, match="no picture"):
         read_picture(tmp_path / "text.png")
+
+
+def test_a_pipe_in_place_of_a_picture_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    with pytest.raises(ConfigError, match="no picture"):
+        read_picture(tmp_path / "pipe.png")

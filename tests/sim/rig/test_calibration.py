@@ -1,12 +1,17 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from rhot.geometry.rotations import vector_from_rotation
 from rhot.rig import CameraConfig
 from rhot.rig.cameras import camera_model
-from rhot_sim.rig.calibration import BASELINE_M, SimulatedCalibration, simulated_rig_calibration
+from rhot.rig.folder import load_rig
+from rhot.rig.toml_edit import change_rig_file
+from rhot_sim.rig.calibration import BASELINE_M, SimulatedCalibration, simulated_rig_calibration, true_cameras
+from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.world.world import World
 
 NAMES = ("left", "right", "third", "fourth", "fifth")
@@ -59,6 +64,16 @@ def test_points_come_out_as_after_a_good_calibration(seed: int) -> None:
 def test_seed_decides() -> None:
     assert rig(3).truth.cameras == rig(3).truth.cameras
     assert rig(3).found.cameras != rig(4).found.cameras
+
+
+def test_cameras_stay_where_they_were_calibrated_when_the_world_gets_another_seed(tmp_path: Path) -> None:
+    before = write_simulated_rig(tmp_path / "rig", seed=1)
+    change_rig_file(before.path, {("sim",): {"seed": 2}})
+    after = load_rig(before.path)
+    assert after.config.sim.seed == 2
+    assert {name: camera.center.tolist() for name, camera in true_cameras(after).items()} == {
+        name: camera.center.tolist() for name, camera in true_cameras(before).items()
+    }
 
 
 def test_a_camera_does_not_depend_on_those_after_it() -> None:

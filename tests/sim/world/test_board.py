@@ -15,7 +15,7 @@ from rhot.rig.config import SimConfig
 from rhot.rig.folder import RIG_FILE
 from rhot.rig.template import rig_template
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.world.board import BOARD, FAR_M, HOLD_S, MAX_TILT_DEG, MOVE_S, NEAR_M, BoardMotion, ChessBoard
 from rhot_sim.world.motion import MotionSample
 from rhot_sim.world.world import World

@@ -22,7 +22,7 @@ from rhot_capture.detection.color_table import build_color_table
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_sim.command import sim
 from rhot_sim.rendering.renderer import Renderer
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.world.paint import paints_of
 from rhot_sim.world.world import CYCLE_S, CrossingMotion, World
 

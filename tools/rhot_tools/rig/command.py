@@ -32,7 +32,7 @@ from rhot_capture.detection.color_table import camera_tables
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.sources.recorded import read_pictures
 from rhot_capture.timing import row_time_ns
-from rhot_sim.rig.folder import true_cameras
+from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.rig.schedule import FrameSchedule
 from rhot_tools.measures.output import html_report, json_option, page_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
