@@ -82,6 +82,18 @@ def test_a_good_trial_is_good(rig_path: Path, frames: list[MarkerFrame], smooth:
     assert float(values["epipolar shift"].removesuffix(" px")) < 0.5
 
 
+@pytest.mark.parametrize("since", [0, 20], ids=["from the beginning", "after a while"])
+def test_cameras_whose_times_are_apart_are_told_so(rig_path: Path, frames: list[MarkerFrame], since: int) -> None:
+    own = [frame for frame in frames if frame.camera == "left"]
+    later = {id(frame) for frame in own[since:]}
+    hour_ns = 3600 * 10**9
+    moved = [f.model_copy(update={"t_ns": f.t_ns + hour_ns}) if id(f) in later else f for f in frames]
+    verdict, _ = judged(rig_path, sorted(moved, key=lambda frame: frame.t_ns))
+    assert verdict.level == "not usable"
+    assert "looked at the same time as another camera for only" in verdict.findings[0].text
+    assert not any("colours" in finding.text for finding in verdict.findings)
+
+
 def with_wrong_side(rig_path: Path) -> None:
     text = (rig_path / "rig.toml").read_text()
     assert 'hand = "right"' in text

@@ -40,6 +40,9 @@ _JUMP_M_S: Final = 8.0
 _BEHIND: Final = 0.5
 _SWAP_RATIO: Final = 0.5
 """Cameras are swapped if exchanging them puts most points before them, or leaves less than half the residual."""
+_MOMENT_NS: Final = 100_000_000
+_TOGETHER: Final = 0.5
+"""Share of these moments that a camera has in common with another one; below it, the times of one are wrong."""
 _STEP_S: Final = 0.1
 _PROBLEM_SHARE: Final = 0.2
 """A complaint of a service counts if it stood in so many of its statuses: many pass while a rig starts."""
@@ -114,6 +117,7 @@ class TrialJudge:
         self._tracks = TrackGatherer(self._cameras)
         self._seen: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self._frames: Counter[str] = Counter()
+        self._moments: defaultdict[str, set[int]] = defaultdict(set)
         self._measured: Counter[str] = Counter()
         self._sets = 0
         self._span_ns = [1 << 63, 0]
@@ -130,6 +134,7 @@ class TrialJudge:
         """Add a message, in the order of the recording."""
         if isinstance(message, MarkerFrame):
             self._frames[message.camera] += 1
+            self._moments[message.camera].add(message.t_ns // _MOMENT_NS)
             self._seen[message.camera].update(message.markers.keys())
             self._span_ns = [min(self._span_ns[0], message.t_ns), max(self._span_ns[1], message.t_ns)]
             self._tracks.add([message])
@@ -198,6 +203,7 @@ class TrialJudge:
         seconds = 1e-9 * (self._span_ns[1] - self._span_ns[0])
         counts = ", ".join(f"{name} {count}" for name, count in sorted(self._frames.items()))
         figures.append(("length", f"{seconds:.1f} s", f"frames: {counts}"))
+        times = self._judge_times()
         coverage = self._judge_coverage(figures)
         hands = self._judge_hands(figures)
         jumps = self._judge_jumps(figures)
@@ -207,11 +213,13 @@ class TrialJudge:
         # does not fit.
         if cameras:
             stated.pop("fusion", None)
-        if "ik" in stated:
+        if "ik" in stated or times:
             hands = []
+        if times:
+            coverage = []
         told = [Finding("not usable", text) for texts in stated.values() for text in texts]
         # Causes before what follows from them.
-        return TrialVerdict(tuple(figures), (*missing, *cameras, *told, *hands, *jumps, *coverage))
+        return TrialVerdict(tuple(figures), (*missing, *times, *cameras, *told, *hands, *jumps, *coverage))
 
     def _stated(self, problems: Mapping[str, str]) -> dict[str, list[str]]:
         """Return what the services complained of for long, by service."""
@@ -221,6 +229,19 @@ class TrialJudge:
             if often:
                 found.setdefault(service, []).extend(often)
         return found
+
+    def _judge_times(self) -> list[Finding]:
+        """Judge whether each camera looked at the same time as some other one."""
+        for name, own in sorted(self._moments.items()):
+            others = [other for camera, other in self._moments.items() if camera != name]
+            share = max((len(own & other) / min(len(own), len(other)) for other in others), default=1.0)
+            if share < _TOGETHER:
+                text = (
+                    f"{name} looked at the same time as another camera for only {100 * share:.0f} % of the trial: the "
+                    "times of one are wrong (its clock, or its timestamps.csv)"
+                )
+                return [Finding("not usable", text)]
+        return []
 
     def _judge_coverage(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
         """Judge how much of what two cameras saw became a measured point."""
