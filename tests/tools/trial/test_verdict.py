@@ -94,6 +94,17 @@ def test_cameras_whose_times_are_apart_are_told_so(rig_path: Path, frames: list[
     assert not any("colours" in finding.text for finding in verdict.findings)
 
 
+def test_a_marker_that_no_camera_sees_and_a_blind_camera_are_named(rig_path: Path, frames: list[MarkerFrame]) -> None:
+    def without(frame: MarkerFrame, names: set[str]) -> MarkerFrame:
+        return frame.model_copy(update={"markers": {n: m for n, m in frame.markers.items() if n not in names}})
+
+    texts = [f.text for f in judged(rig_path, [without(frame, {"base"}) for frame in frames])[0].findings]
+    assert texts[0].startswith("no camera sees base: painted and lit as when colours were calibrated?")
+    blind = [without(frame, set(frame.markers)) if frame.camera == "left" else frame for frame in frames]
+    texts = [finding.text for finding in judged(rig_path, blind)[0].findings]
+    assert texts[0].startswith("left sees no marker at all: is its lens free")
+
+
 def with_wrong_side(rig_path: Path) -> None:
     text = (rig_path / "rig.toml").read_text()
     assert 'hand = "right"' in text

@@ -43,6 +43,8 @@ _SWAP_RATIO: Final = 0.5
 _MOMENT_NS: Final = 100_000_000
 _TOGETHER: Final = 0.5
 """Share of these moments that a camera has in common with another one; below it, the times of one are wrong."""
+_HARDLY: Final = 0.02
+"""Share of a camera's frames below which a marker counts as unseen."""
 _STEP_S: Final = 0.1
 _PROBLEM_SHARE: Final = 0.2
 """A complaint of a service counts if it stood in so many of its statuses: many pass while a rig starts."""
@@ -218,6 +220,7 @@ class TrialJudge:
         if times:
             coverage = []
         told = [Finding("not usable", text) for texts in stated.values() for text in texts]
+        told += self._unseen() if hands or coverage else []
         # Causes before what follows from them.
         return TrialVerdict(tuple(figures), (*missing, *times, *cameras, *told, *hands, *jumps, *coverage))
 
@@ -242,6 +245,23 @@ class TrialJudge:
                 )
                 return [Finding("not usable", text)]
         return []
+
+    def _unseen(self) -> list[Finding]:
+        """Return which of the rig's markers hardly any picture shows, as causes of what else is wrong."""
+        names = () if self._rig is None else tuple(self._rig.config.markers)
+        missing = {
+            camera: [name for name in names if self._seen[camera][name] < _HARDLY * frames]
+            for camera, frames in sorted(self._frames.items())
+        }
+        blind = [camera for camera, gone in missing.items() if len(gone) == len(names)]
+        as_then = "as when colours were calibrated? `rhot calibrate colors` again"
+        texts = [
+            f"{camera} sees no marker at all: is its lens free, and its picture as bright {as_then}" for camera in blind
+        ]
+        seeing = [set(gone) for camera, gone in missing.items() if camera not in blind]
+        if seeing and (gone := [name for name in names if all(name in each for each in seeing)]):
+            texts.append(f"no camera sees {', '.join(gone)}: painted and lit {as_then}")
+        return [Finding("doubtful", text) for text in texts]
 
     def _judge_coverage(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
         """Judge how much of what two cameras saw became a measured point."""
