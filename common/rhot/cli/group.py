@@ -113,13 +113,13 @@ class LazyGroup(click.Group):
 
 
 class _Guarded(click.Context):
-    """Calls a command unless a file that it would write is one that it reads."""
+    """Calls a command unless a file that it would write is one that it reads, or would be written twice."""
 
     def invoke(self, callback: Any, /, *args: Any, **kwargs: Any) -> Any:
         """Call a function with this context.
 
         Raises:
-            click.UsageError: an option names the file of an argument.
+            click.UsageError: an option names the file of an argument, or of another option.
         """
         read, written = list[Path](), list[tuple[click.Parameter, Path]]()
         for param in self.command.params:
@@ -129,9 +129,14 @@ class _Guarded(click.Context):
                 read += files
             else:
                 written += [(param, file) for file in files]
+        targets: dict[str, click.Parameter] = {}
         for param, file in written:
             if file.is_file() and any(other.is_file() and file.samefile(other) for other in read):
                 raise click.UsageError(f"{param.opts[-1]} {file} is the file that it reads; choose another name", self)
+            if isinstance(param.type, click.Path) and not (param.type.dir_okay or param.type.exists):
+                first = targets.setdefault(os.path.abspath(file), param)  # noqa: PTH100 - links are files of their own
+                if first is not param:
+                    raise click.UsageError(f"{first.opts[-1]} and {param.opts[-1]} both name {file}; choose two", self)
         return super().invoke(callback, *args, **kwargs)
 
 

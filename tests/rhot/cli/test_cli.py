@@ -110,6 +110,13 @@ def test_no_command_writes_over_what_it_reads(
     assert Path("a.jsonl").read_text() == "recorded\n"
 
 
+def test_two_options_do_not_write_one_file(tmp_path: Path) -> None:
+    words = ["export", "a.mcap", "--bvh", str(tmp_path / "a"), "--gltf", f"{tmp_path}/./a"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2
+    assert "--bvh and --gltf both name" in done.output
+
+
 @pytest.mark.parametrize("words", ["report a --out LONG", "process LONG --out x", "init LONG", "process / --out x"])
 def test_what_the_system_refuses_is_one_error(words: str) -> None:
     done = rhot(*words.replace("LONG", 300 * "a").split())

@@ -14,6 +14,7 @@ import struct
 import zlib
 from collections.abc import Container, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import IO, Final
 
@@ -166,10 +167,8 @@ class McapRecording:
                 yield from found.items()
 
     def _warn(self, span: _ChunkSpan, error: _DamagedError) -> None:
-        """Log a damaged chunk, once however often the file is read."""
-        if span.offset not in self._damaged:
-            logger.warning("%s", error)
         self._damaged[span.offset] = str(error)
+        _warn_once(str(error))
 
     def _sample(self, record: MessageRecord, span: _ChunkSpan) -> RecordedSample:
         channel = self.channels.get(record.channel_id)
@@ -219,6 +218,12 @@ def open_mcap(path: Path) -> McapRecording:
         end_ns=max((span.end_ns for span in scan.chunks), default=0),
         _chunks=tuple(scan.chunks),
     )
+
+
+@cache
+def _warn_once(text: str) -> None:
+    """Log what is damaged, once however often and by how many the file is read."""
+    logger.warning("%s", text)
 
 
 class _Scan:
