@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -12,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from hand_messages import object_pose
+from page.browser import wait_until
 
 import rhot
 from rhot.anatomy.skeleton import FINGERS
@@ -260,6 +265,22 @@ def test_several_recordings_go_into_a_folder_one_on_each_core(session: Path, tmp
     assert "would be written twice" in str(clash.exception)
     itself = CliRunner().invoke(process, [str(second), str(session), "--out", str(tmp_path)])
     assert "is the recording itself" in str(itself.exception)
+
+
+@pytest.mark.xdist_group("rendered")
+def test_ctrl_c_leaves_nothing_of_several_at_once(session: Path, tmp_path: Path) -> None:
+    second, folder = tmp_path / "second.mcap", tmp_path / "temporary"
+    second.write_bytes(session.read_bytes())
+    folder.mkdir()
+    words = ["process", str(session), str(second), "--out", str(tmp_path / "out"), "--jobs", "2"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "rhot", *words], start_new_session=True, env={**os.environ, "TMPDIR": str(folder)}
+    )
+    wait_until(lambda: any(folder.glob("rhot-rig-*")), "both are at work")
+    os.killpg(running.pid, signal.SIGINT)
+    assert running.wait(2.0) == 130
+    wait_until(lambda: not any(folder.iterdir()), "nothing is left", 5.0)
+    assert not any((tmp_path / "out").glob(".*")), "what was complete may stay, nothing else"
 
 
 def test_messages_without_marker_frames_say_so(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ class MainGroup(LazyGroup):
         # Before anything imports OpenCV: a few kilobytes of PNG may unpack to a gigapixel.
         os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
         _write_what_can_be_written()
-        _end_orderly_on_sigterm()
+        end_orderly_on_sigterm()
         if not os.environ.get("PYTHONWARNINGS"):
             # Those of numpy are for programmers; who runs a command gets one error that says what to do.
             warnings.simplefilter("ignore", RuntimeWarning)
@@ -209,7 +209,7 @@ def _write_what_can_be_written() -> None:
             stream.reconfigure(errors="replace")
 
 
-def _end_orderly_on_sigterm() -> None:
+def end_orderly_on_sigterm() -> None:
     """Let SIGTERM end a command like Ctrl-C does: temporary folders and children go with it.
 
     Services catch the signal themselves as soon as their event loop runs (`rhot.service.stop`).

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import multiprocessing
+import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from rhot.atomic_file import replacing
+from rhot.cli.group import end_orderly_on_sigterm
 from rhot.cli.options import DEFAULT_RIG
 from rhot.errors import ConfigError, RhotError
 from rhot.messages import FootPose, MarkerFrame, Message, PointSet, encode, encoding_of
@@ -260,7 +262,7 @@ def _run_all(todo: Sequence[Job], jobs: int, console: Console) -> int:
         return worst
     # Not forked: this process has threads.
     with (
-        ProcessPoolExecutor(min(jobs, len(todo)), multiprocessing.get_context("spawn")) as pool,
+        ProcessPoolExecutor(min(jobs, len(todo)), multiprocessing.get_context("spawn"), _begin_worker) as pool,
         Progress(*columns, console=console) as bar,
     ):
         task = bar.add_task("tracking recordings", total=len(todo))
@@ -282,6 +284,12 @@ def _run_all(todo: Sequence[Job], jobs: int, console: Console) -> int:
                 child.terminate()
             raise
     return worst
+
+
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the process that waits for the results, which then ends this one, temporary folders and all."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_orderly_on_sigterm()
 
 
 def _tell(job: Job, done: Done, console: Console, *, name: bool) -> int:
