@@ -68,6 +68,7 @@ _TRACKS, _SOLVER = "rhot_fusion.filter.tracks", "rhot_ik.hand.solver"
 
 TERMS: Final[Mapping[str, Change]] = {
     "correlated acceleration": ((_MOTION, "_PERSISTS_S", 1e-3),),
+    "rotation of the hand in the motion model": ((_MOTION, "_TURNING", 1e-6),),
     "fingers come to rest": ((_MOTION, "_JOINING_S", 1e6),),
     "abrupt stops": ((_MOTION, "_ABRUPT", 0.0),),
     "several noise intensities": (

@@ -12,7 +12,7 @@ from hands.pinholes import CAMERAS, FOCAL_PX
 from rhot.arrays import FloatArray
 from rhot_fusion.filter.initialisation import View, from_views, on_ray
 from rhot_fusion.filter.joint import JointFilter
-from rhot_fusion.filter.motion import noise, transition
+from rhot_fusion.filter.motion import motion_of
 from rhot_fusion.filter.smoothing.smoother import Event, Node, RecordedFrame, smooth
 from rhot_fusion.filter.state import ROUND, Innovation, Views
 from rhot_fusion.filter.systematic import CALIBRATION_DOUBT, CameraNoise, Systematic, stated_px
@@ -179,16 +179,16 @@ def test_an_uninformative_view_does_not_initialise_a_marker(variance: float) -> 
 def test_noise_and_transition_of_a_motion_compose(monkeypatch: pytest.MonkeyPatch) -> None:
     """Law of every linear motion: two steps are one step of the sum, in mean and in noise."""
     monkeypatch.setattr("rhot_fusion.filter.motion._JOINING_S", np.inf)
-    alive = (True,) * COUNT
+    motion = motion_of(SHAPE, np.ones(COUNT, dtype=bool))
     for dt in (0.001, 0.008, 0.05, 0.3):
-        F, Q = transition(alive, dt), noise(alive, dt)
-        assert np.allclose(F @ F, transition(alive, 2.0 * dt), atol=1e-9)
+        F, Q = motion.transition(dt), motion.noise(dt)
+        assert np.allclose(F @ F, motion.transition(2.0 * dt), atol=1e-9)
         twice = F @ Q @ F.T + Q
-        assert np.allclose(twice, noise(alive, 2.0 * dt), rtol=0.05, atol=1e-3 * np.abs(twice).min())
+        assert np.allclose(twice, motion.noise(2.0 * dt), rtol=0.05, atol=1e-3 * np.abs(twice).min())
 
 
 def test_accelerations_are_shared_and_have_a_covariance() -> None:
-    Q = noise((True,) * COUNT, 0.1)
+    Q = motion_of(SHAPE, np.ones(COUNT, dtype=bool)).noise(0.1)
     assert np.allclose(Q, Q.T)
     assert np.linalg.eigvalsh(Q).min() > -1e-12
     velocity = Q[3 * COUNT : 6 * COUNT, 3 * COUNT : 6 * COUNT]

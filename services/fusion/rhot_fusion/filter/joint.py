@@ -17,7 +17,7 @@ import numpy as np
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 from rhot.types import Vector3
-from rhot_fusion.filter.motion import noise, transition
+from rhot_fusion.filter.motion import MotionModel, motion_of
 from rhot_fusion.filter.state import ROUND, SHARED, FilterStep, Innovation, State, Views
 from rhot_fusion.views.sightings import Upper
 
@@ -43,6 +43,8 @@ pictures at 30 fps are lost. At 150, one of twelve uncalibrated rigs with 5 % wr
 _ADJOINT: FloatArray = np.array([1.0, -2.0, 1.0])
 _NEAREST_M = 0.05
 """Lower bound of depths, metres: behind the image plane there is no useful derivative; the gate rejects such views."""
+_REACH = 0.02
+"""The motion matrices are recomputed when a marker has moved this far relative to its hand, metres."""
 
 
 class JointFilter:
@@ -59,6 +61,7 @@ class JointFilter:
         self._limit = gate if refuses else math.inf
         self._scales2: FloatArray = np.square(SCALES)
         self._shares: FloatArray = np.array(SHARES)
+        self._motion: MotionModel | None = None
         size = 6 * count + SHARED
         self._identity: FloatArray = np.eye(size)
         self._nothing: FloatArray = np.zeros((size, size))
@@ -121,8 +124,10 @@ class JointFilter:
         if not alive.any():
             x[-SHARED:], P[-SHARED:] = 0.0, 0.0
             P[:, -SHARED:] = 0.0
-            # Variance of each component of the shared acceleration when a hand is first seen.
-            P[-SHARED:, -SHARED:] = 5.0**2 * np.eye(SHARED)
+            # Standard deviation of each component of the shared acceleration
+            # when a hand is first seen.
+            first = np.repeat(np.square([5.0, 40.0]), 3)
+            P[-SHARED:, -SHARED:] = np.diag(first)
             old = State(t_s, x, P, self._shares, alive)
         rows = self._rows(marker)
         x[rows] = mean
@@ -201,11 +206,21 @@ class JointFilter:
         if dt == 0.0:
             moved = old if t_s <= old.t_s else State(t_s, old.x, old.P, old.weight, old.alive)
             return moved, 0.0, self._identity, self._nothing
-        there = tuple(old.alive.tolist())
-        F = transition(there, dt)
+        motion = self._motion_of(old)
+        F = motion.transition(dt)
         stay = math.exp(-dt / SWITCH_S)
         weight = stay * old.weight + (1.0 - stay) * self._shares
-        return State(t_s, F @ old.x, F @ old.P @ F.T, weight, old.alive), dt, F, noise(there, dt)
+        return State(t_s, F @ old.x, F @ old.P @ F.T, weight, old.alive), dt, F, motion.noise(dt)
+
+    def _motion_of(self, state: State) -> MotionModel:
+        known, alive = self._motion, state.alive
+        position = state.x[: 3 * self._count].reshape(-1, 3)
+        if known is not None and (known.alive is alive or (known.alive == alive).all()):
+            moved = (position - known.position)[known.index]
+            if not len(moved) or float(np.abs(moved - moved[0]).max()) < _REACH:
+                return known
+        self._motion = motion_of(position.copy(), alive)
+        return self._motion
 
     def _rows(self, marker: int) -> IndexArray:
         half, three = 3 * self._count, np.arange(3 * marker, 3 * marker + 3)

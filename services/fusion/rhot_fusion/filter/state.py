@@ -9,8 +9,8 @@ import numpy as np
 from rhot.arrays import BoolArray, FloatArray, IndexArray
 from rhot.geometry.camera import CameraModel
 
-SHARED = 3
-"""Number of shared components of a state: the acceleration of the hand."""
+SHARED = 6
+"""Number of shared components of a state: linear and angular acceleration of the hand."""
 ROUND: FloatArray = np.array([1.0, 0.0, 1.0])
 """xx, xy and yy of an isotropic unit covariance in the image."""
 
@@ -57,8 +57,9 @@ class State:
 
     Attributes:
         t_s: time, seconds.
-        x: (6 M + 3,) positions, metres, marker by marker; velocities, m/s; acceleration of the hand, m/s².
-        P: (6 M + 3, 6 M + 3) covariance.
+        x: (6 M + 6,) positions, metres, marker by marker; velocities, m/s; linear acceleration of the hand, m/s²;
+            angular acceleration, rad/s².
+        P: (6 M + 6, 6 M + 6) covariance.
         weight: (K,) of the acceleration scales.
         alive: (M,) whether a marker is tracked; rows of the others are zero.
     """
@@ -113,7 +114,7 @@ class FilterStep:
 
     Attributes:
         dt_s: time since the previous step.
-        transition: (6 M + 3, 6 M + 3) state transition over that time.
+        transition: (6 M + 6, 6 M + 6) state transition over that time.
         before: predicted state, process noise included.
         after: updated state.
     """
