@@ -20,6 +20,7 @@ from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.world import WalkerWorld
 from rhot_tools.recordings.export import export
 from rhot_tools.recordings.process import process
+from rhot_tools.trial.report import report, trial_of
 
 SECONDS = 3.0
 RATE_HZ = 15.0
@@ -89,6 +90,28 @@ def test_tables_and_animations_of_recorded_feet(walked: tuple[Rig, Path, Path], 
         of_name = [line for line in lines if line["key"].removeprefix("rhot/").replace("/", "_") == name]
         assert len(rows) == 1 + len({line["value"]["t_ns"] for line in of_name})
     assert "hips" in (tmp_path / "b.bvh").read_text()
+
+
+def test_a_page_about_recorded_feet(walked: tuple[Rig, Path, Path], tmp_path: Path) -> None:
+    _, _, out = walked
+    page = tmp_path / "report.html"
+    done = CliRunner().invoke(report, [str(out), "--out", str(page)], standalone_mode=False)
+    assert done.exit_code == 0, done.output
+    text = page.read_text()
+    poses = [line["value"] for line in read(out) if line["key"] == "rhot/foot/left"]
+    by_marker = 100.0 * sum(pose["stage"] == "marker" for pose in poses) / len(poses)
+    assert f"<td class='number'>left</td><td class='number'>{by_marker:.1f} %</td>" in text
+    assert "Feet were tracked by a head-worn depth camera" in text
+    assert "Painted markers" not in text
+    verdict = trial_of(out, None).verdict
+    assert (verdict.judged, verdict.level) == (True, "good"), verdict
+    lost = tmp_path / "lost.jsonl"
+    lines = [
+        line if line["key"] != "rhot/foot/left" else line | {"value": line["value"] | {"stage": "lost"}}
+        for line in read(out)
+    ]
+    lost.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert [finding.level for finding in trial_of(lost, None).verdict.findings] == ["not usable"]
 
 
 def test_a_walk_that_was_cut_off_opens(walked: tuple[Rig, Path, Path], tmp_path: Path) -> None:

@@ -103,13 +103,6 @@ def test_without_the_sdk_it_is_said_what_to_install(
         CliRunner().invoke(export, [str(recording), "--foxglove", str(tmp_path / "x.mcap")], catch_exceptions=False)
 
 
-def test_the_recording_itself_is_not_overwritten(recording: Path) -> None:
-    before = recording.read_bytes()
-    result = CliRunner().invoke(export, [str(recording), "--foxglove", str(recording)])
-    assert result.exit_code == 2
-    assert recording.read_bytes() == before
-
-
 def test_a_folder_that_cannot_be_written_is_told(recording: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="nowhere"):
         CliRunner().invoke(

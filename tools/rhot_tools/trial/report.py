@@ -35,7 +35,7 @@ from rhot_tools.measures.rows import Section
 from rhot_tools.recordings.beside import StoredPicture, pictures_beside, stored_pictures
 from rhot_tools.rig.heard import Heard
 from rhot_tools.rig.jitter import jitter_sections, still_jitter
-from rhot_tools.trial.verdict import TrialJudge, TrialVerdict
+from rhot_tools.trial.verdict import STAGES, TrialJudge, TrialVerdict
 
 _MM: Final = 1e3
 _PICTURES: Final = 3
@@ -181,6 +181,45 @@ def _speed(t: FloatArray, positions: FloatArray) -> FloatArray:
     return np.asarray(speeds)
 
 
+@dataclass(frozen=True, slots=True)
+class FootFigures:
+    """What one foot did; NaN where it is not known.
+
+    Attributes:
+        stages: share of the poses by what the position rests on, in the order of `STAGES`.
+        gap_s: longest time in which nothing measured it.
+        sigma_m: median and 95th percentile of its standard deviation.
+        speed_m_s: 95th percentile.
+        knee_rad: range of motion of its knee, 2nd to 98th percentile.
+    """
+
+    side: str
+    stages: tuple[float, ...]
+    gap_s: float
+    sigma_m: tuple[float, float]
+    speed_m_s: float
+    knee_rad: float
+
+
+def foot_figures(take: Take) -> list[FootFigures]:
+    """Return the figures of each foot."""
+    found = []
+    for side, foot in sorted(take.feet.items()):
+        knees = take.body is not None and f"{side}_knee_flexion" in take.body.angle_names
+        knee = take.body.angle(f"{side}_knee_flexion") if take.body is not None and knees else np.empty(0)
+        found.append(
+            FootFigures(
+                side=side,
+                stages=tuple(float(np.mean(foot.stage == stage)) for stage in STAGES),
+                gap_s=_longest_gap_s(foot.t, foot.state == "measured"),
+                sigma_m=(_percentile(foot.sigma, 50), _percentile(foot.sigma, 95)),
+                speed_m_s=_percentile(np.linalg.norm(foot.velocities, axis=1), 95),
+                knee_rad=_percentile(knee, 98) - _percentile(knee, 2),
+            )
+        )
+    return found
+
+
 # The page.
 
 
@@ -206,8 +245,10 @@ def _overview(trials: Sequence[Trial]) -> str:
     for number, trial in enumerate(trials):
         fingers = _all_fingers([trial])
         lost, all_frames = (sum(counts) for counts in zip(*trial.lost.values(), strict=True)) if trial.lost else (0, 0)
-        measured = np.mean([each.measured for each in fingers]) if fingers else np.nan
-        sigma = np.median([each.sigma_m[0] for each in fingers]) if fingers else np.nan
+        feet = foot_figures(trial.take)
+        shares = [*(each.measured for each in fingers), *(1.0 - each.stages[-1] for each in feet)]
+        sigmas_m = [*(each.sigma_m[0] for each in fingers), *(each.sigma_m[0] for each in feet)]
+        measured, sigma = np.mean(shares or [np.nan]), np.median(sigmas_m or [np.nan])
         reasons = "; ".join(finding.text for finding in trial.verdict.findings)
         cells = (
             f"<a href='#trial{number}'>{escape(trial.file.name)}</a>",
@@ -247,7 +288,8 @@ def _of_trial(number: int, trial: Trial, *, heading: bool) -> str:
     parts.append(f"<table>{rows}</table>")
     for side, hand in sorted(trial.take.hands.items()):
         parts.append(_of_hand(side, hand, trial))
-    parts += [html_table(section) for section in _jitter(trial)]
+    parts.append(_of_feet(trial.take))
+    parts += [html_table(section) for section in _jitter(trial) if section.rows]
     parts.append(_pictures(trial))
     return f"<section id='trial{number}'>{''.join(parts)}</section>"
 
@@ -282,6 +324,31 @@ def _of_hand(side: str, hand: HandTrack, trial: Trial) -> str:
     )
     table = f"<tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{''.join(rows)}"
     return f"<h3>{escape(side)} hand</h3><table>{table}</table>{plot}{aperture}"
+
+
+def _of_feet(take: Take) -> str:
+    if not take.feet:
+        return ""
+    head = ("foot", *STAGES, "longest gap, s", "sigma, median", "p95", "speed p95, m/s", "knee, range °")
+    rows = []
+    for each in foot_figures(take):
+        cells = (
+            each.side,
+            *(_percent(share) for share in each.stages),
+            f"{each.gap_s:.2f}",
+            _number(_MM * each.sigma_m[0]),
+            _number(_MM * each.sigma_m[1]),
+            f"{each.speed_m_s:.2f}",
+            _number(float(np.degrees(each.knee_rad))),
+        )
+        rows.append("<tr>" + "".join(f"<td class='number'>{cell}</td>" for cell in cells) + "</tr>")
+    lines = {}
+    for side, foot in sorted(take.feet.items()):
+        step = max(1, len(foot) // 1500)
+        lines[side] = foot.t[::step], _MM * foot.sigma[::step]
+    plot = line_plot("Standard deviation of the feet", "t, s", "mm", lines)
+    table = f"<tr>{''.join(f'<th>{name}</th>' for name in head)}</tr>{''.join(rows)}"
+    return f"<h3>Feet</h3><table>{table}</table>{plot}"
 
 
 def _jitter(trial: Trial) -> list[Section]:
@@ -333,32 +400,42 @@ def _bytes_of(file: Path) -> bytes:
 def _methods(trials: Sequence[Trial]) -> str:
     """Return a paragraph for a paper's methods, with the figures of these trials and the citation."""
     rig = next((trial.rig for trial in trials if trial.rig is not None), None)
-    cameras = "" if rig is None else _cameras_text(rig)
-    fingers = _all_fingers(trials)
-    figures = ""
-    if fingers:
-        measured = 100 * float(np.mean([each.measured for each in fingers]))
-        sigmas = [_MM * float(np.median([each.sigma_m[part] for each in fingers])) for part in (0, 1)]
-        figures = (
-            f" Fingertips were measured by two or more cameras in {measured:.1f} % of the samples; their estimated "
-            f"standard deviation was {sigmas[0]:.1f} mm (median; 95th percentile {sigmas[1]:.1f} mm)."
-        )
     total_s = sum(_length_s(trial.take) for trial in trials)
     count = f"{len(trials)} trial{'s' if len(trials) > 1 else ''}, {total_s:.0f} s in all"
-    text = (
-        f"Hand motion was recorded with RHOT {__version__}{cameras} ({count}). Painted markers on the fingertips and "
-        "the back of the hand were triangulated from unsynchronised cameras by a Kalman filter, and a hand with 26 "
-        f"joints was fitted to them.{figures}"
-    )
+    fingers, feet = _all_fingers(trials), [each for trial in trials for each in foot_figures(trial.take)]
+    texts = [f"Motion was recorded with RHOT {__version__} ({count})."]
+    if fingers:
+        measured = 100 * float(np.mean([each.measured for each in fingers]))
+        texts += [
+            f"Painted markers on the fingertips and the back of the hand were triangulated from "
+            f"{'unsynchronised cameras' if rig is None else _cameras_text(rig)} by a Kalman filter, and a hand with 26 "
+            f"joints was fitted to them. Fingertips were measured by two or more cameras in {measured:.1f} % of the "
+            f"samples; {_sigmas_text(fingers)}.",
+        ]
+    if feet:
+        by_stage = [100 * float(np.mean([each.stages[number] for each in feet])) for number in range(len(STAGES))]
+        texts += [
+            "Feet were tracked by a head-worn depth camera with a printed marker on each foot, and by inertial sensors "
+            "at the ankles where they were worn, fused by a Kalman filter; knees and hips follow from the person's "
+            f"segment lengths. Positions rest on the marker in {by_stage[0]:.0f} %, on the depth image in "
+            f"{by_stage[1]:.0f} % and on the inertial sensor alone in {by_stage[2]:.0f} % of the samples; "
+            f"{_sigmas_text(feet)}.",
+        ]
+    text = " ".join(texts)
     citation = f"The RHOT developers. RHOT: an open-source tracker of hands, objects and feet, version {__version__}."
     return f"<h2>For the methods section</h2><blockquote>{escape(text)}</blockquote><p>Cite: {escape(citation)}</p>"
 
 
+def _sigmas_text(figures: Sequence[FingerFigures | FootFigures]) -> str:
+    median, p95 = (_MM * float(np.median([each.sigma_m[part] for each in figures])) for part in (0, 1))
+    return f"their estimated standard deviation was {median:.1f} mm (median; 95th percentile {p95:.1f} mm)"
+
+
 def _cameras_text(rig: Rig) -> str:
     kinds = [f"{camera.width}x{camera.height} at {camera.rate_hz:g} Hz" for camera in rig.config.cameras.values()]
-    if not kinds:
-        return ""
-    return f", {len(kinds)} cameras, {kinds[0]}" if len(set(kinds)) == 1 else f", cameras of {', '.join(kinds)}"
+    if len(set(kinds)) == 1:
+        return f"{len(kinds)} unsynchronised cameras ({kinds[0]})"
+    return f"unsynchronised cameras ({', '.join(kinds)})" if kinds else "unsynchronised cameras"
 
 
 def _percent(share: float) -> str:
@@ -383,9 +460,9 @@ def report(files: tuple[Path, ...], out_path: Path, rig_path: Path | None) -> in
 
     RECORDING is an MCAP file of `rhot record` or `rhot process`, or JSON Lines. The page, one file that needs no
     network, shows for each trial a traffic light with its reasons, coverage, gaps, standard deviations, speed and range
-    of motion of each finger, lost frames, clocks, drift of the cameras since calibration, jitter where the hand rested,
-    and pictures of the least certain moments where `rhot record --frames` kept them. Of several trials a table comes
-    first. A paragraph for a paper's methods section ends it.
+    of motion of each finger and foot, lost frames, clocks, drift of the cameras since calibration, jitter where the
+    hand rested, and pictures of the least certain moments where `rhot record --frames` kept them. Of several trials a
+    table comes first. A paragraph for a paper's methods section ends it.
 
     \b
     rhot report grasp.mcap --out report.html

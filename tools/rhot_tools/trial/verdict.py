@@ -1,4 +1,4 @@
-"""The verdict on a trial: can its hands be used, and if not, why.
+"""The verdict on a trial: can its hands and feet be used, and if not, why.
 
 It is made from the messages alone, so that `rhot process`, `rhot record` and `rhot export` say the same of the same
 trial. What it looks at: how much of what two cameras saw became a measured point, whether the hand fits its markers,
@@ -20,7 +20,7 @@ from rich.text import Text
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
 from rhot.geometry.camera import CameraModel, rays_meet_ahead
-from rhot.messages import HandPose, MarkerFrame, Message, PointSet, ServiceStatus
+from rhot.messages import FootPose, HandPose, MarkerFrame, Message, PointSet, ServiceStatus
 from rhot.recording.messages import RecordedMessages
 from rhot.report.html import figures_table
 from rhot.rig import Rig
@@ -33,8 +33,12 @@ Level = Literal["good", "doubtful", "not usable"]
 _LEVELS: Final = ("good", "doubtful", "not usable")
 _COLORS: Final = {"good": "green", "doubtful": "yellow", "not usable": "red"}
 
+STAGES: Final = ("marker", "depth", "inertial", "lost")
+"""What a foot's position rests on, the best first."""
 LEAST_FRAMES: Final = 60
-"""Marker frames below which a trial is too short for a verdict: half a second of two cameras at 60 Hz. Chosen."""
+"""Marker frames, or poses of feet, below which a trial is too short for a verdict: half a second of two cameras, or of
+two feet, at 60 Hz. Chosen.
+"""
 _JUMP_M_S: Final = 8.0
 """Speed of a measured point between two samples; a fingertip in a fast tap reaches 3 m/s."""
 _BEHIND: Final = 0.5
@@ -105,6 +109,14 @@ class _Hand:
     residuals_m: list[float] = field(default_factory=list)
 
 
+@dataclass(slots=True)
+class _Foot:
+    """What is gathered of one foot: its poses by stage, and when it was measured, nanoseconds."""
+
+    stages: Counter[str] = field(default_factory=Counter)
+    measured_ns: list[int] = field(default_factory=list)
+
+
 class TrialJudge:
     """Gathers the messages of one trial.
 
@@ -125,6 +137,7 @@ class TrialJudge:
         self._span_ns = [1 << 63, 0]
         self._points: PointSet | None = None
         self._hands: dict[str, _Hand] = {}
+        self._feet: dict[str, _Foot] = {}
         self._last: dict[str, tuple[int, FloatArray]] = {}
         self._steps = self._jumps = 0
         self._largest_jump_m = 0.0
@@ -144,6 +157,12 @@ class TrialJudge:
             self._add_points(message)
         elif isinstance(message, HandPose):
             self._add_hand(message)
+        elif isinstance(message, FootPose):
+            foot = self._feet.setdefault(message.side, _Foot())
+            foot.stages[message.stage] += 1
+            if message.state == "measured":
+                foot.measured_ns.append(message.t_ns)
+            self._span_ns = [min(self._span_ns[0], message.t_ns), max(self._span_ns[1], message.t_ns)]
         elif isinstance(message, ServiceStatus) and message.state == "running":
             self._statuses[message.service] += 1
             if message.problem:
@@ -199,18 +218,23 @@ class TrialJudge:
             lost: what could not be read of its files.
         """
         missing = tuple(Finding("doubtful", text) for text in lost)
-        if sum(self._frames.values()) < LEAST_FRAMES:
+        poses = {f"{side} foot": foot.stages.total() for side, foot in self._feet.items()}
+        if sum(self._frames.values()) < LEAST_FRAMES and sum(poses.values()) < LEAST_FRAMES:
             return TrialVerdict((), missing, judged=False)
-        figures: list[tuple[str, str, str]] = []
         seconds = 1e-9 * (self._span_ns[1] - self._span_ns[0])
-        counts = ", ".join(f"{name} {count}" for name, count in sorted(self._frames.items()))
-        figures.append(("length", f"{seconds:.1f} s", f"frames: {counts}"))
+        counted = [("frames", self._frames)] * bool(self._frames) + [("poses", poses)] * bool(poses)
+        each = (f"{what}: {', '.join(f'{name} {n}' for name, n in sorted(of.items()))}" for what, of in counted)
+        figures = [("length", f"{seconds:.1f} s", "; ".join(each))]
+        feet = self._judge_feet(figures)
+        stated = self._stated(problems or {})
+        if not self._frames:
+            told = [Finding("not usable", text) for texts in stated.values() for text in texts]
+            return TrialVerdict(tuple(figures), (*missing, *told, *feet))
         times = self._judge_times()
         coverage = self._judge_coverage(figures)
         hands = self._judge_hands(figures)
         jumps = self._judge_jumps(figures)
         cameras = self._judge_cameras(figures)
-        stated = self._stated(problems or {})
         # Fusion complains of the cameras, and they are judged here over the whole trial; ik knows best why a hand
         # does not fit.
         if cameras:
@@ -222,7 +246,7 @@ class TrialJudge:
         told = [Finding("not usable", text) for texts in stated.values() for text in texts]
         told += self._unseen() if hands or coverage else []
         # Causes before what follows from them.
-        return TrialVerdict(tuple(figures), (*missing, *times, *cameras, *told, *hands, *jumps, *coverage))
+        return TrialVerdict(tuple(figures), (*missing, *times, *cameras, *told, *hands, *jumps, *coverage, *feet))
 
     def _stated(self, problems: Mapping[str, str]) -> dict[str, list[str]]:
         """Return what the services complained of for long, by service."""
@@ -306,6 +330,23 @@ class TrialJudge:
         if self._rig is not None and self._rig.config.sides and not self._hands:
             told = "no hand was found: are the cameras named as in rig.toml, and colours calibrated?"
             findings.append(Finding("not usable", told))
+        return findings
+
+    def _judge_feet(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
+        """Judge whether something measured the feet."""
+        findings = []
+        for side, foot in sorted(self._feet.items()):
+            poses = foot.stages.total()
+            longest_s = 1e-9 * float(np.diff(foot.measured_ns).max()) if len(foot.measured_ns) > 1 else 0.0
+            by_stage = ", ".join(f"{stage} {100 * foot.stages[stage] / poses:.0f} %" for stage in STAGES)
+            about = f"of {poses} poses; longest gap {longest_s:.2f} s; {by_stage}"
+            figures.append((f"{side} foot, measured", f"{100 * len(foot.measured_ns) / poses:.1f} %", about))
+            # Share of poses that hold the last position, because neither camera nor sensor says anything.
+            lost = foot.stages["lost"] / poses
+            level = _worse(lost, (0.2, 0.5))
+            if level != "good":
+                told = f"nothing measured the {side} foot in {100 * lost:.0f} % of its poses: was its marker in view?"
+                findings.append(Finding(level, told))
         return findings
 
     def _judge_jumps(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
