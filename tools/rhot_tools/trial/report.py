@@ -235,7 +235,7 @@ def report_html(trials: Sequence[Trial]) -> str:
 
 def _light(verdict: TrialVerdict) -> str:
     level = verdict.level if verdict.judged else "doubtful"
-    said = level if verdict.judged else "too short to judge"
+    said = level if verdict.judged else "not judged: too short, or neither hands nor feet"
     return f"<span class='light' style='background:{_LIGHTS[level]}'></span>{escape(said)}"
 
 
