@@ -78,10 +78,6 @@ def load(path: str | Path, *more: str | Path) -> Take:
                 columns.setdefault(key, PayloadColumns(model)).add(*payloads)
         invalid += source.invalid
 
-    def seen() -> Iterator[MarkerRow]:
-        for source in sources:
-            yield from _unpacked(source.payloads(cameras))
-
     note = "; ".join(source.note for source in sources if source.note)
     # A frame that no message names may stand in the rig folder.
     asks_rig = _STAGE not in columns and any(f"{RIG_PREFIX}{STAGE_FILE}" in source.attachments for source in sources)
@@ -89,7 +85,7 @@ def load(path: str | Path, *more: str | Path) -> Take:
     return _made(
         columns,
         events,
-        partial(_marker_tracks, seen),
+        partial(_marker_tracks, partial(_rows_in, sources, tuple(cameras))),
         partial(rig_of, sources),
         frames=frames,
         invalid=invalid,
@@ -120,7 +116,7 @@ def take_of(messages: Iterable[tuple[str, Message]], rig: Rig | None = None) -> 
             events.append(message)
         elif isinstance(message, _KEPT):
             columns.setdefault(key, PayloadColumns(type(message))).add(encode(message))
-    return _made(columns, events, partial(_marker_tracks, lambda: seen), lambda: rig, frames=rig)
+    return _made(columns, events, partial(_marker_tracks, partial(list, seen)), partial(_given, rig), frames=rig)
 
 
 def _file_of(path: Path) -> Path:
@@ -335,6 +331,16 @@ def _unpacked(payloads: Iterable[tuple[str, type[Message], list[bytes]]]) -> Ite
             yield key.rpartition("/")[2], int(frame["t_ns"]), markers
         except (WireError, KeyError, TypeError, ValueError, AttributeError):
             continue  # counted among the invalid by whoever tracks; here it shows nothing
+
+
+def _rows_in(sources: Sequence[RecordedMessages], cameras: Sequence[str]) -> Iterator[MarkerRow]:
+    for source in sources:
+        yield from _unpacked(source.payloads(cameras))
+
+
+def _given(rig: Rig | None) -> Rig | None:
+    # A lambda could not be pickled.
+    return rig
 
 
 def _marker_tracks(seen: Callable[[], Iterable[MarkerRow]], start_ns: int) -> dict[str, MarkerTracks]:

@@ -66,7 +66,7 @@ def dataset(take: Take, what: str) -> xr.Dataset:
 
     individuals, keypoints = _chosen(take, what)
     if not individuals:
-        raise KeyError(f"the take holds no {what}")
+        raise KeyError(f"the take holds no {what!r}; choose hands, points, objects, feet or body, what of these it has")
     tracks = [track for parts in individuals.values() for track in parts.values()]
     t_ns = np.unique(np.concatenate([track.t_ns for track in tracks]))
     shape = (len(t_ns), len(keypoints), len(individuals))

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from rhot.rig import Rig
 
 
+def _no_rig() -> None:
+    return None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Take:
     """What was tracked in one recording; lengths in metres, angles in radians, times on the rig clock.
@@ -54,7 +58,7 @@ class Take:
     invalid: int = 0
     note: str = ""
     _markers: Callable[[], Mapping[str, MarkerTracks]] = field(default=dict, repr=False)
-    _rig: Callable[[], Rig | None] = field(default=lambda: None, repr=False)
+    _rig: Callable[[], Rig | None] = field(default=_no_rig, repr=False)
 
     @cached_property
     def markers(self) -> Mapping[str, MarkerTracks]:

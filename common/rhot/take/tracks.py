@@ -73,6 +73,11 @@ class Track:
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        # What comes from another process can be written.
+        self.__post_init__()
+
     def __len__(self) -> int:
         return len(self.t_ns)
 

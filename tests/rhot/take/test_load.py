@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -19,7 +20,9 @@ from rhot.errors import ConfigError
 from rhot.messages import BodyPose, Event, FootPose, HandPose, Message, Space, encode, encoding_of
 from rhot.messages.tracked import BodyJoint, BoxShape
 from rhot.recording.mcap.writer import McapWriter, rig_files
+from rhot.recording.messages import RecordedMessages
 from rhot.take.payloads import PayloadColumns
+from rhot.take.reading import take_of
 
 START_NS = 1_790_000_000_123_456_789
 STEP_NS = 8_333_333
@@ -138,6 +141,19 @@ def test_arrays_cannot_be_written(tmp_path: Path) -> None:
     take = rhot.load(write_mcap(tmp_path / "take.mcap", session()))
     with pytest.raises(ValueError, match="read-only"):
         take.hands["right"].positions[0] = 0.0
+
+
+def test_a_take_comes_from_another_process_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+    write_mcap(file, session())
+    take = rhot.load(file)
+    again = pickle.loads(pickle.dumps(take))
+    np.testing.assert_array_equal(again.hands["right"].positions, take.hands["right"].positions)
+    assert again.markers.keys() == take.markers.keys()
+    assert (again.rig is None) == (take.rig is None)
+    with pytest.raises(ValueError, match="read-only"):
+        again.hands["right"].positions[0] = 0.0
+    assert pickle.loads(pickle.dumps(take_of(iter(RecordedMessages(file))))).markers.keys() == take.markers.keys()
 
 
 def test_of_one_moment_the_last_message_counts_and_order_is_that_of_time(tmp_path: Path) -> None:
