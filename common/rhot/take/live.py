@@ -133,7 +133,13 @@ class LiveRig:
         return self._bus
 
     def hands(self, side: str) -> Stream[HandSample]:
-        """Return the hands of one side, `left` or `right`, as they arrive; the newest where the reader is slower."""
+        """Return the hands of one side, `left` or `right`, as they arrive; the newest where the reader is slower.
+
+        Raises:
+            ValueError: no such side.
+        """
+        if side not in ("left", "right"):
+            raise ValueError(f"side {side!r}: choose left or right")
         return Stream(self, f"rhot/hand/{side}", HandPose, HandSample.of)
 
     def points(self) -> Stream[PointSet]:
@@ -188,7 +194,10 @@ class LiveRig:
     def wait(self, work: Callable[[], Awaitable[T]]) -> T:
         """Begin something on the connection's own thread, and return its result."""
         if self._loop is None:
-            raise BusError("connected with `async with`: read with `async for`")
+            opened = "connected with `async with`: read with `async for`"
+            raise BusError(
+                opened if self._bus is not None else "not connected: use it in `with rhot.connect() as rig:`"
+            )
 
         async def awaited() -> T:
             return await work()

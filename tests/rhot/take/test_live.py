@@ -123,3 +123,11 @@ def test_what_is_not_connected_or_no_key_says_so() -> None:
         _ = rig.bus
     with pytest.raises(ConfigError, match="rhot/nothing: no key with messages"):
         rig.messages("rhot/nothing")
+
+
+def test_what_can_never_come_is_not_waited_for() -> None:
+    rig = rhot.connect("tcp/127.0.0.1:1")
+    with pytest.raises(ValueError, match="'middle': choose left or right"):
+        rig.hands("middle")
+    with pytest.raises(BusError, match="not connected: use it in `with rhot"):
+        next(iter(rig.hands("right")))
