@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Final, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -107,6 +107,9 @@ class Stream(Generic[T]):
                 self._rig.wait(values.aclose)  # type: ignore[attr-defined]
 
 
+_NOT_OPEN: Final = "the rig is not connected; use `with rhot.connect() as rig:`"
+
+
 class LiveRig:
     """A connection to a running rig: a context manager, sync or async."""
 
@@ -129,7 +132,7 @@ class LiveRig:
             BusError: it is not open.
         """
         if self._bus is None:
-            raise BusError("the rig is not connected; use `with rhot.connect() as rig:`")
+            raise BusError(_NOT_OPEN)
         return self._bus
 
     def hands(self, side: str) -> Stream[HandSample]:
@@ -194,10 +197,9 @@ class LiveRig:
     def wait(self, work: Callable[[], Awaitable[T]]) -> T:
         """Begin something on the connection's own thread, and return its result."""
         if self._loop is None:
-            opened = "connected with `async with`: read with `async for`"
-            raise BusError(
-                opened if self._bus is not None else "not connected: use it in `with rhot.connect() as rig:`"
-            )
+            if not self.is_open:
+                raise BusError(_NOT_OPEN)
+            raise BusError("connected with `async with`: read with `async for`")
 
         async def awaited() -> T:
             return await work()
