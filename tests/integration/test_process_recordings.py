@@ -269,10 +269,12 @@ def test_several_recordings_go_into_a_folder_one_on_each_core(session: Path, tmp
 
 @pytest.mark.xdist_group("rendered")
 def test_ctrl_c_leaves_nothing_of_several_at_once(session: Path, tmp_path: Path) -> None:
-    second, folder = tmp_path / "second.mcap", tmp_path / "temporary"
-    second.write_bytes(session.read_bytes())
+    # So many that the last are not done when the first is seen to begin.
+    files, folder = [tmp_path / f"{number}.mcap" for number in range(40)], tmp_path / "temporary"
+    for file in files:
+        file.hardlink_to(session)
     folder.mkdir()
-    words = ["process", str(session), str(second), "--out", str(tmp_path / "out"), "--jobs", "2"]
+    words = ["process", *map(str, files), "--out", str(tmp_path / "out"), "--jobs", "2"]
     running = subprocess.Popen(
         [sys.executable, "-m", "rhot", *words], start_new_session=True, env={**os.environ, "TMPDIR": str(folder)}
     )
