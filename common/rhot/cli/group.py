@@ -175,7 +175,7 @@ class MainGroup(LazyGroup):
                 self._end_without_output(error)
             # Such as a name that is too long, or a cache of some library that cannot be written.
             logger.debug("refused by the system", exc_info=True)
-            click.echo(f"rhot: error: {printable_lines(str(error.filename))}: {error.strerror}", err=True)
+            click.echo(f"rhot: error: {printable_lines(str(error.filename))}: {error.strerror or error}", err=True)
             self._exit(EXIT_ERROR)
         self._exit(result if isinstance(result, int) else 0)
 
