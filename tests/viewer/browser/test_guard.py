@@ -226,7 +226,7 @@ def test_kept_links_follow_the_page_to_https_and_to_another_port(tmp_path: Path)
     file = tmp_path / "page.links"
     token = kept_token(file, 8080)
     # Whoever wrote another name meant it.
-    file.write_text(file.read_text().replace(socket.gethostname(), "desk.example"))
+    file.write_text(file.read_text().replace(f"//{socket.gethostname()}", "//desk.example"))
     assert kept_token(file, 8081, "https") == token
     lines = file.read_text().splitlines()
     assert [line.partition("?")[0] for line in lines] == [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import multiprocessing
+import os
 import signal
 import sys
 from collections import Counter
@@ -266,7 +267,7 @@ def _run_all(todo: Sequence[Job], jobs: int, console: Console) -> int:
         Progress(*columns, console=console) as bar,
     ):
         task = bar.add_task("tracking recordings", total=len(todo))
-        futures = {pool.submit(run, job): job for job in todo}
+        futures = {pool.submit(_run_in_worker, job): job for job in todo}
         try:
             for future in as_completed(futures):
                 job = futures[future]
@@ -284,6 +285,14 @@ def _run_all(todo: Sequence[Job], jobs: int, console: Console) -> int:
                 child.terminate()
             raise
     return worst
+
+
+def _run_in_worker(job: Job) -> Done:
+    try:
+        return run(job)
+    except SystemExit as error:
+        # A pool would go on with the next recording.
+        os._exit(error.code if isinstance(error.code, int) else 1)
 
 
 def _begin_worker() -> None:
