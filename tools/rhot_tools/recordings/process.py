@@ -8,6 +8,8 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -262,13 +264,15 @@ def _run_all(todo: Sequence[Job], jobs: int, console: Console) -> int:
             worst = max(worst, _tell(job, done, console, name=several))
         return worst
     # Not forked: this process has threads.
+    spawn = multiprocessing.get_context("spawn")
     with (
-        ProcessPoolExecutor(min(jobs, len(todo)), multiprocessing.get_context("spawn"), _begin_worker) as pool,
+        tempfile.TemporaryDirectory(prefix="rhot-process-", ignore_cleanup_errors=True) as folder,
+        ProcessPoolExecutor(min(jobs, len(todo)), spawn, _begin_worker, (folder,)) as pool,
         Progress(*columns, console=console) as bar,
     ):
         task = bar.add_task("tracking recordings", total=len(todo))
-        futures = {pool.submit(_run_in_worker, job): job for job in todo}
         try:
+            futures = {pool.submit(_run_in_worker, job): job for job in todo}
             for future in as_completed(futures):
                 job = futures[future]
                 try:
@@ -281,10 +285,16 @@ def _run_all(todo: Sequence[Job], jobs: int, console: Console) -> int:
                 bar.advance(task)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():
-                child.terminate()
+            _end_workers()
             raise
     return worst
+
+
+def _begin_worker(folder: str) -> None:
+    """Leave Ctrl-C to the process that waits for the results; what is temporary goes into a folder of that one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_orderly_on_sigterm()
+    tempfile.tempdir = folder
 
 
 def _run_in_worker(job: Job) -> Done:
@@ -295,10 +305,16 @@ def _run_in_worker(job: Job) -> Done:
         os._exit(error.code if isinstance(error.code, int) else 1)
 
 
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the process that waits for the results, which then ends this one, temporary folders and all."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_orderly_on_sigterm()
+def _end_workers() -> None:
+    """End the workers: orderly, so that no half-written file stays, but within a second."""
+    workers = multiprocessing.active_children()
+    for worker in workers:
+        worker.terminate()
+    until_s = time.monotonic() + 1.0
+    for worker in workers:
+        worker.join(max(until_s - time.monotonic(), 0.0))
+        # Python drops an exception that a signal raises in the wrong place, such as a finalizer.
+        worker.kill()
 
 
 def _tell(job: Job, done: Done, console: Console, *, name: bool) -> int:
