@@ -117,11 +117,12 @@ def test_netcdf_is_read_by_xarray(recording: Path, take: Take, tmp_path: Path) -
             np.testing.assert_array_equal(found[rows], hand.joint("little_tip"))
 
 
-def test_an_empty_recording_has_nothing_for_archives(tmp_path: Path) -> None:
+@pytest.mark.parametrize("option", ["--mat", "--bids"])
+def test_an_empty_recording_has_nothing_for_archives(tmp_path: Path, option: str) -> None:
     file = tmp_path / "empty.jsonl"
     file.write_text("")
-    done = CliRunner().invoke(export, [str(file), "--mat", str(tmp_path / "x.mat")])
-    assert "--mat: the recording holds no hand, point, object, foot or body" in str(done.exception)
+    done = CliRunner().invoke(export, [str(file), option, str(tmp_path / "x")])
+    assert f"{option}: the recording holds no hand, point, object, foot or body" in str(done.exception)
 
 
 def test_c3d_has_the_events(recording: Path, take: Take, tmp_path: Path) -> None:
