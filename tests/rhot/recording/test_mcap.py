@@ -20,6 +20,7 @@ import zstandard
 from hand_messages import hand_pose, marker_frame, object_pose
 from machine.power_cut import Disk, Loss
 from mcap.reader import make_reader
+from mcap.records import ChunkIndex
 from mcap.writer import MCAP0_MAGIC
 
 from rhot.bus import EventSubscriber, Sample
@@ -134,23 +135,26 @@ def test_a_recording_that_was_cut_off_opens_up_to_its_last_complete_chunk(tmp_pa
     assert seen >= {0, 30, 60, 90, 120, len(wanted)}
 
 
+def third_chunk(file: Path) -> ChunkIndex:
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes[2]
+
+
 @pytest.mark.parametrize("step", [10_000, -700], ids=["added", "missing"])
 def test_bytes_that_were_added_or_are_missing_cost_what_follows_them(tmp_path: Path, step: int) -> None:
     """The index at the end still reads well then, and points to nothing."""
     wanted, file = samples(), tmp_path / "a.mcap"
     write(file, wanted, flush_every=30)
     content = bytearray(file.read_bytes())
-    with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    at = summary.chunk_indexes[2].chunk_start_offset + 100
+    chunk_at = third_chunk(file).chunk_start_offset
+    at = chunk_at + 100
     content[at : at - min(step, 0)] = content[at : at + max(step, 0)] * 2
     file.write_bytes(content)
     recording = open_mcap(file)
     assert list(recording.samples()) == wanted[:60]
-    assert f"damaged at byte {summary.chunk_indexes[2].chunk_start_offset}" in "".join(
-        (recording.note, *recording.damage)
-    )
+    assert f"damaged at byte {chunk_at}" in "".join((recording.note, *recording.damage))
 
 
 def test_what_a_file_system_had_not_written_counts_as_lost(tmp_path: Path) -> None:
@@ -158,10 +162,7 @@ def test_what_a_file_system_had_not_written_counts_as_lost(tmp_path: Path) -> No
     wanted, file = samples(), tmp_path / "a.mcap"
     write(file, wanted, flush_every=30)
     whole = file.read_bytes()
-    with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    kept = summary.chunk_indexes[2].chunk_start_offset + 100
+    kept = third_chunk(file).chunk_start_offset + 100
     file.write_bytes(whole[:kept] + bytes(len(whole) - kept))
     recording = open_mcap(file)
     assert list(recording.samples()) == wanted[:60]
@@ -175,10 +176,7 @@ def test_one_damaged_chunk_costs_that_chunk_alone(
     wanted, file = samples(), tmp_path / "a.mcap"
     write(file, wanted, flush_every=30)
     content = bytearray(file.read_bytes())
-    with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    chunk = summary.chunk_indexes[2]
+    chunk = third_chunk(file)
     at = 7 if at_share is None else round(at_share * chunk.chunk_length)
     content[chunk.chunk_start_offset + at] ^= 0xFF
     file.write_bytes(content)

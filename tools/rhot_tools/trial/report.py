@@ -60,6 +60,7 @@ class Trial:
         clock_s: largest uncertainty of a camera's clock; NaN if no status says.
         heard: its messages of markers and points, for the jitter.
         fingers: hand to the figures of its five fingers.
+        feet: figures of each foot.
     """
 
     file: Path
@@ -70,6 +71,7 @@ class Trial:
     clock_s: float
     heard: Heard
     fingers: dict[str, list[FingerFigures]]
+    feet: list[FootFigures]
 
 
 def trial_of(file: Path, rig: Rig | None) -> Trial:
@@ -100,9 +102,8 @@ def trial_of(file: Path, rig: Rig | None) -> Trial:
         steps = np.diff(np.array(frames))
         lost[camera] = int(np.sum(steps[steps > 0] - 1)), int(np.sum(steps[steps > 0])) + 1
     fingers = {side: finger_figures(take, hand, rig) for side, hand in sorted(take.hands.items())}
-    return Trial(
-        file, take, judge.verdict(lost=source.lost), rig, lost, max(clocks, default=float("nan")), heard, fingers
-    )
+    verdict, clock_s = judge.verdict(lost=source.lost), max(clocks, default=float("nan"))
+    return Trial(file, take, verdict, rig, lost, clock_s, heard, fingers, foot_figures(take))
 
 
 # The figures of a hand.
@@ -245,9 +246,8 @@ def _overview(trials: Sequence[Trial]) -> str:
     for number, trial in enumerate(trials):
         fingers = _all_fingers([trial])
         lost, all_frames = (sum(counts) for counts in zip(*trial.lost.values(), strict=True)) if trial.lost else (0, 0)
-        feet = foot_figures(trial.take)
-        shares = [*(each.measured for each in fingers), *(1.0 - each.stages[-1] for each in feet)]
-        sigmas_m = [*(each.sigma_m[0] for each in fingers), *(each.sigma_m[0] for each in feet)]
+        shares = [*(each.measured for each in fingers), *(1.0 - each.stages[-1] for each in trial.feet)]
+        sigmas_m = [*(each.sigma_m[0] for each in fingers), *(each.sigma_m[0] for each in trial.feet)]
         measured, sigma = np.mean(shares or [np.nan]), np.median(sigmas_m or [np.nan])
         reasons = "; ".join(finding.text for finding in trial.verdict.findings)
         cells = (
@@ -288,7 +288,7 @@ def _of_trial(number: int, trial: Trial, *, heading: bool) -> str:
     parts.append(f"<table>{rows}</table>")
     for side, hand in sorted(trial.take.hands.items()):
         parts.append(_of_hand(side, hand, trial))
-    parts.append(_of_feet(trial.take))
+    parts.append(_of_feet(trial))
     parts += [html_table(section) for section in _jitter(trial) if section.rows]
     parts.append(_pictures(trial))
     return f"<section id='trial{number}'>{''.join(parts)}</section>"
@@ -326,12 +326,12 @@ def _of_hand(side: str, hand: HandTrack, trial: Trial) -> str:
     return f"<h3>{escape(side)} hand</h3><table>{table}</table>{plot}{aperture}"
 
 
-def _of_feet(take: Take) -> str:
-    if not take.feet:
+def _of_feet(trial: Trial) -> str:
+    if not trial.feet:
         return ""
     head = ("foot", *STAGES, "longest gap, s", "sigma, median", "p95", "speed p95, m/s", "knee, range °")
     rows = []
-    for each in foot_figures(take):
+    for each in trial.feet:
         cells = (
             each.side,
             *(_percent(share) for share in each.stages),
@@ -343,7 +343,7 @@ def _of_feet(take: Take) -> str:
         )
         rows.append("<tr>" + "".join(f"<td class='number'>{cell}</td>" for cell in cells) + "</tr>")
     lines = {}
-    for side, foot in sorted(take.feet.items()):
+    for side, foot in sorted(trial.take.feet.items()):
         step = max(1, len(foot) // 1500)
         lines[side] = foot.t[::step], _MM * foot.sigma[::step]
     plot = line_plot("Standard deviation of the feet", "t, s", "mm", lines)
@@ -402,7 +402,7 @@ def _methods(trials: Sequence[Trial]) -> str:
     rig = next((trial.rig for trial in trials if trial.rig is not None), None)
     total_s = sum(_length_s(trial.take) for trial in trials)
     count = f"{len(trials)} trial{'s' if len(trials) > 1 else ''}, {total_s:.0f} s in all"
-    fingers, feet = _all_fingers(trials), [each for trial in trials for each in foot_figures(trial.take)]
+    fingers, feet = _all_fingers(trials), [each for trial in trials for each in trial.feet]
     texts = [f"Motion was recorded with RHOT {__version__} ({count})."]
     if fingers:
         measured = 100 * float(np.mean([each.measured for each in fingers]))

@@ -147,11 +147,12 @@ class TrialJudge:
 
     def add(self, message: Message) -> None:
         """Add a message, in the order of the recording."""
+        if isinstance(message, MarkerFrame | FootPose):
+            self._span_ns = [min(self._span_ns[0], message.t_ns), max(self._span_ns[1], message.t_ns)]
         if isinstance(message, MarkerFrame):
             self._frames[message.camera] += 1
             self._moments[message.camera].add(message.t_ns // _MOMENT_NS)
             self._seen[message.camera].update(message.markers.keys())
-            self._span_ns = [min(self._span_ns[0], message.t_ns), max(self._span_ns[1], message.t_ns)]
             self._tracks.add([message])
         elif isinstance(message, PointSet):
             self._add_points(message)
@@ -162,7 +163,6 @@ class TrialJudge:
             foot.stages[message.stage] += 1
             if message.state == "measured":
                 foot.measured_ns.append(message.t_ns)
-            self._span_ns = [min(self._span_ns[0], message.t_ns), max(self._span_ns[1], message.t_ns)]
         elif isinstance(message, ServiceStatus) and message.state == "running":
             self._statuses[message.service] += 1
             if message.problem:
@@ -313,8 +313,7 @@ class TrialJudge:
         findings = []
         for side, hand in sorted(self._hands.items()):
             share = len(hand.measured_ns) / hand.poses
-            longest_s = 1e-9 * float(np.diff(hand.measured_ns).max()) if len(hand.measured_ns) > 1 else 0.0
-            about = f"of {hand.poses} poses; longest gap {longest_s:.2f} s"
+            about = f"of {hand.poses} poses; longest gap {_longest_gap_s(hand.measured_ns):.2f} s"
             figures.append((f"{side} hand, measured", f"{100 * share:.1f} %", about))
             if not hand.residuals_m:
                 continue
@@ -337,9 +336,8 @@ class TrialJudge:
         findings = []
         for side, foot in sorted(self._feet.items()):
             poses = foot.stages.total()
-            longest_s = 1e-9 * float(np.diff(foot.measured_ns).max()) if len(foot.measured_ns) > 1 else 0.0
             by_stage = ", ".join(f"{stage} {100 * foot.stages[stage] / poses:.0f} %" for stage in STAGES)
-            about = f"of {poses} poses; longest gap {longest_s:.2f} s; {by_stage}"
+            about = f"of {poses} poses; longest gap {_longest_gap_s(foot.measured_ns):.2f} s; {by_stage}"
             figures.append((f"{side} foot, measured", f"{100 * len(foot.measured_ns) / poses:.1f} %", about))
             # Share of poses that hold the last position, because neither camera nor sensor says anything.
             lost = foot.stages["lost"] / poses
@@ -403,6 +401,11 @@ def _moved_text(report: CalibrationReport, shift_px: float) -> str:
         f"{which} moved since the calibration: views are {shift_px:.1f} px off their epipolar lines; "
         "`rhot calibrate cameras` again (`rhot evaluate calibration` says more)"
     )
+
+
+def _longest_gap_s(measured_ns: Sequence[int]) -> float:
+    """Return the longest time between two measured poses in a row, seconds."""
+    return 1e-9 * float(np.diff(measured_ns).max()) if len(measured_ns) > 1 else 0.0
 
 
 def _worse(value: float, limits: tuple[float, float]) -> Level:
