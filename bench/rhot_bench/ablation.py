@@ -48,7 +48,7 @@ from rhot_sim.sources.imu import SimulatedSource
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.world import WalkerWorld
-from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.output import counted, jobs_option, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
 EARNS: Final = 3.0
@@ -343,7 +343,7 @@ def worst(figures: Mapping[str, float], base: Mapping[str, float]) -> tuple[floa
 @click.option("--seconds", type=FiniteRange(min=1.0), default=2.5, show_default=True, help="Of each clip.")
 @click.option("--terms", is_flag=True, help="Only whole terms.")
 @click.option("--smooth", is_flag=True, help="With smoothing.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Variants at the same time.")
+@jobs_option("Variants at the same time.")
 @json_option
 def ablation(
     data_path: Path | None,

@@ -10,7 +10,7 @@ import cv2
 from rich.console import Console
 from rich.progress import Progress
 
-from rhot.cli.options import FiniteRange
+from rhot.cli.options import FiniteRange, other_rig_option
 from rhot.rig import Rig
 from rhot_bench.speed.bridges import bridges_section
 from rhot_bench.speed.cores import SpeedScene, capture_section, fusion_section, ik_section, pipeline_section
@@ -21,7 +21,7 @@ from rhot_bench.speed.process_costs import processes_section
 from rhot_bench.speed.scaling import scaling_section, scaling_steps, secured_section
 from rhot_bench.speed.soak import soak_section
 from rhot_bench.tracking.tracking import RATE_HZ, simulated_rig
-from rhot_tools.measures.output import json_option, show
+from rhot_tools.measures.output import json_option, quick_option, show
 from rhot_tools.measures.rows import Section, check_output
 
 _CORES: Final = ("capture", "fusion", "ik", "pipeline", "scaling", "budget")
@@ -31,7 +31,7 @@ NAMED_PARTS: Final = ("page", "soak")
 
 
 @click.command()
-@click.option("--quick", is_flag=True, help="Repeat less often: half the time, rougher figures.")
+@quick_option("Repeat less often: half the time, rougher figures.")
 @click.option(
     "--part",
     "parts",
@@ -47,12 +47,7 @@ NAMED_PARTS: Final = ("page", "soak")
     help="How long the soak runs. Ctrl-C ends it sooner, with the figures so far.",
 )
 @json_option
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Simulated rig to measure on, made by `rhot init RIG --sim`.  [default: a temporary one]",
-)
+@other_rig_option("Simulated rig to measure on, made by `rhot init RIG --sim`.  [default: a temporary one]")
 def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | None, rig_path: Path | None) -> None:
     """Measure how fast each part is on this machine, and compare with the 2018 thesis.
 

@@ -32,7 +32,7 @@ from rhot.service.control import CONTROL_KEY
 from rhot_bench.speed.simulated import projected_frames, world_of
 from rhot_sim.rig.calibration import simulated_rig_calibration
 from rhot_sim.running.processes import free_endpoint
-from rhot_tools.measures.output import json_option, show
+from rhot_tools.measures.output import duration_option, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
 _LOOP_S: Final = 5.0
@@ -96,14 +96,7 @@ class Traffic:
 
 
 @click.command()
-@click.option(
-    "--duration",
-    "duration_s",
-    type=FiniteRange(2, 36000),
-    default=600.0,
-    show_default=True,
-    help="Seconds to record.",
-)
+@duration_option(2, 36000, 600.0, "Seconds to record.")
 @click.option(
     "--rate",
     "rate_hz",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
+from rhot.cli.options import other_rig_option
 from rhot.errors import ConfigError
 from rhot.messages import PointSet
 from rhot.recording import MarkerTrack, Recording, load_recording, marker_track_frames
@@ -20,7 +21,7 @@ from rhot.rig.folder import RIG_FILE, write_text_atomic
 from rhot.rig.template import rig_template
 from rhot_bench.processes import read_table
 from rhot_fusion.core import FusionCore
-from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.output import counted, json_option, quick_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 from rhot_tools.measures.streams import Stream, lateral_delay, measured_glitches, rest_noise_m, step_p99_m
 
@@ -30,13 +31,8 @@ _RATE_HZ: Final = 30.0
 
 @click.command()
 @click.argument("data_path", metavar="DATA", type=click.Path(path_type=Path))
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Rig of the recordings; two parallel cameras 75 mm apart when not given.",
-)
-@click.option("--quick", is_flag=True, help="Only the first 600 frames of each.")
+@other_rig_option("Rig of the recordings; two parallel cameras 75 mm apart when not given.")
+@quick_option("Only the first 600 frames of each.")
 @json_option
 def streams(data_path: Path, rig_path: Path | None, quick: bool, json_path: Path | None) -> None:
     """Run recorded marker tracks through fusion, and measure steps, delay and noise at rest.

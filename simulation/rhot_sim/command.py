@@ -16,7 +16,7 @@ import click
 from rich.console import Console, RenderableType
 
 from rhot.bus import Bus
-from rhot.cli.options import DEFAULT_RIG, FiniteRange, endpoints
+from rhot.cli.options import DEFAULT_RIG, FiniteRange, endpoints, other_rig_option
 from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import ConfigError
 from rhot.messages import Side
@@ -208,15 +208,12 @@ _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
     metavar="ENDPOINT",
     help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}, or a free port]",
 )
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path, file_okay=False),
+@other_rig_option(
+    "Rig folder, simulated.",
     envvar="RHOT_RIG",
     default=DEFAULT_RIG,
     show_default="a temporary one",
     show_envvar=True,
-    help="Rig folder, simulated.",
 )
 @click.pass_context
 def sim(

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from rhot.arrays import BoolArray, FloatArray
 from rhot.atomic_file import write_atomic
-from rhot.cli.options import FiniteRange
+from rhot.cli.options import other_rig_option
 from rhot.errors import ConfigError
 from rhot.messages import Side
 from rhot.report.svg import line_plot
@@ -28,7 +28,15 @@ from rhot_bench import processes
 from rhot_bench.feet.runs import COMPUTE_S, LEARN_S, SIDES, STAGES, FootTrajectory, Played, Run, play
 from rhot_bench.feet.stages import CELLS, TASKS, cell_plots, cell_rows, printed_m, table_5_1, table_5_1_rows
 from rhot_sim.walker.folder import write_walker_rig
-from rhot_tools.measures.output import counted, html_report, json_option, page_option, show
+from rhot_tools.measures.output import (
+    counted,
+    duration_option,
+    html_report,
+    jobs_option,
+    json_option,
+    page_option,
+    show,
+)
 from rhot_tools.measures.provenance import provenance
 from rhot_tools.measures.rows import Row, Section, check_output
 
@@ -322,20 +330,9 @@ _WITHOUT: Final[dict[str, tuple[Side, ...]]] = {"left": ("left",), "right": ("ri
     "--runs", metavar="NAMES", help=f"Only these runs, separated by commas: {', '.join(RUNS)}. All when not given."
 )
 @click.option("--seeds", type=click.IntRange(1, 100), default=2, show_default=True, help="Number of persons per run.")
-@click.option(
-    "--duration",
-    "duration_s",
-    type=FiniteRange(5, 600),
-    default=8.0,
-    show_default=True,
-    help="Seconds of each run; drawing and tracking take about twice as long.",
-)
-@click.option(
-    "--jobs",
-    type=click.IntRange(1, 64),
-    default=os.cpu_count() or 1,
-    show_default="all processors",
-    help="Runs at once. Processor times are most accurate with 1.",
+@duration_option(5, 600, 8.0, "Seconds of each run; drawing and tracking take about twice as long.")
+@jobs_option(
+    "Runs at once. Processor times are most accurate with 1.", os.cpu_count() or 1, show_default="all processors"
 )
 @click.option(
     "--without-imu",
@@ -353,12 +350,7 @@ _WITHOUT: Final[dict[str, tuple[Side, ...]]] = {"left": ("left",), "right": ("ri
 )
 @json_option
 @page_option("--html")
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Rig with [feet], whose camera, markers and settings are used; a temporary one when not given.",
-)
+@other_rig_option("Rig with [feet], whose camera, markers and settings are used; a temporary one when not given.")
 def feet(
     runs: str | None,
     seeds: int,

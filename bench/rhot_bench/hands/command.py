@@ -25,7 +25,7 @@ from rhot_bench.hands.recorded_joints import (
     whole_chains,
 )
 from rhot_ik.hand.closed_form import AnalyticFingers, FingerGeometry
-from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.output import counted, json_option, quick_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
 _MIDDLE: Final = slice(1, 3)
@@ -42,7 +42,7 @@ Advance = Callable[[], None]
 
 @click.command()
 @click.argument("data_path", metavar="DATA", type=click.Path(path_type=Path))
-@click.option("--quick", is_flag=True, help="Use fewer frames; rougher figures.")
+@quick_option("Use fewer frames; rougher figures.")
 @json_option
 def hands(data_path: Path, quick: bool, json_path: Path | None) -> None:
     """Predict the inner joints of recorded hands from wrist and tips, and compare with the recording.

@@ -18,7 +18,7 @@ from rhot_bench.motion.recordings import list_recordings
 from rhot_bench.motion.run import Job, RigResult, Stratum, run_job
 from rhot_bench.motion.tracks import MarkerKind
 from rhot_bench.processes import each
-from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.output import counted, jobs_option, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
 # Errors of many rigs as rows of a table, beside the references and the targets.
@@ -312,7 +312,7 @@ _NAMES: Final = {"60": STRATA[0], "30": STRATA[1], "15": STRATA[2], "family": ST
     show_default=True,
     help="Of each clip; 6 for a report.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Rigs to run at the same time.")
+@jobs_option("Rigs to run at the same time.")
 @click.option(
     "--half",
     type=click.Choice(["develop", "held-back"]),

@@ -41,7 +41,7 @@ from rhot_feet.imu.zero_velocity_detector import ACCELERATION_NOISE, RATE_NOISE
 from rhot_feet.prediction import FootPrediction
 from rhot_feet.sources.depth_camera.recorded_frames import load_depth_recording
 from rhot_feet.sources.imu.recorded import read_samples
-from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.output import counted, json_option, quick_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
 # Depth pictures of really walking feet with toes marked by hand: followed from the first marks alone.
@@ -249,7 +249,7 @@ _WINDOW: Final = {"raw200": 5, "bno100": 3}
 
 @click.command()
 @click.argument("data_path", metavar="DATA", type=click.Path(path_type=Path))
-@click.option("--quick", is_flag=True, help="Use less of each recording; rougher figures.")
+@quick_option("Use less of each recording; rougher figures.")
 @json_option
 def steps(data_path: Path, quick: bool, json_path: Path | None) -> None:
     """Track feet on recordings of real sensors and cameras.

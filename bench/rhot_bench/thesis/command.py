@@ -14,6 +14,7 @@ from rich.console import Console
 
 from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
+from rhot.cli.options import other_rig_option
 from rhot.errors import ConfigError
 from rhot.messages import PointSet
 from rhot.offline import track
@@ -28,7 +29,7 @@ from rhot_bench.thesis.paint_samples import thesis_boxes
 from rhot_bench.tracking.tracking import RATE_HZ, scene_frames, simulated_rig
 from rhot_sim.world.motion import MotionSample, StillMotion
 from rhot_sim.world.world import World
-from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.output import counted, json_option, quick_option, show
 from rhot_tools.measures.points import point_track
 from rhot_tools.measures.rows import Row, Section, check_output
 
@@ -234,14 +235,9 @@ _TABLE: Final = "depth_table.csv"
 
 @click.command()
 @click.argument("data_path", metavar="[DATA]", type=click.Path(path_type=Path), required=False)
-@click.option("--quick", is_flag=True, help="Use fewer pictures; rougher figures.")
+@quick_option("Use fewer pictures; rougher figures.")
 @json_option
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]",
-)
+@other_rig_option("Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]")
 def thesis(data_path: Path | None, quick: bool, json_path: Path | None, rig_path: Path | None) -> None:
     """Answer the 2018 thesis's questions: time per frame, jitter of a still hand, depth at 17 distances.
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from rhot.cli.options import FiniteRange
+from rhot.cli.options import FiniteRange, other_rig_option
 from rhot.report.svg import histogram, line_plot
 from rhot.rig import Rig
 from rhot.rig.folder import write_text_atomic
@@ -25,7 +25,15 @@ from rhot_bench.tracking.tracking import (
     simulated_rig,
     tracking_sections,
 )
-from rhot_tools.measures.output import counted, html_report, json_option, page_option, show
+from rhot_tools.measures.output import (
+    counted,
+    duration_option,
+    html_report,
+    json_option,
+    page_option,
+    quick_option,
+    show,
+)
 from rhot_tools.measures.rows import check_output
 
 _FAST_S: Final = 15.0
@@ -41,14 +49,7 @@ _LEAST_S: Final = 0.6
     type=click.Choice(["script", "still", "fast"]),
     help="Play only this scene. May be repeated.  [default: all three]",
 )
-@click.option(
-    "--duration",
-    "duration_s",
-    type=FiniteRange(1, 3600),
-    default=40.0,
-    show_default=True,
-    help="Seconds of gestures and grasps; rendering takes about three times as long.",
-)
+@duration_option(1, 3600, 40.0, "Seconds of gestures and grasps; rendering takes about three times as long.")
 @click.option("--speed", type=FiniteRange(1, 10), default=3.0, show_default=True, help="How much faster `fast` moves.")
 @click.option(
     "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Seed of the simulated world."
@@ -58,15 +59,10 @@ _LEAST_S: Final = 0.6
     type=click.Choice(["filter", "triangulate", "disparity"]),
     help="Fusion method.  [default: the rig's own]",
 )
-@click.option("--quick", is_flag=True, help="Take a tenth of the time; rougher figures.")
+@quick_option("Take a tenth of the time; rougher figures.")
 @json_option
 @page_option("--report")
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]",
-)
+@other_rig_option("Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]")
 def tracking(
     chosen: tuple[str, ...],
     duration_s: float,

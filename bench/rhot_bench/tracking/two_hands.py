@@ -34,7 +34,7 @@ from rhot_capture.timing import row_time_ns
 from rhot_sim.rig.calibration import true_cameras
 from rhot_sim.rig.folder import with_motion, write_simulated_rig
 from rhot_sim.world.world import World, WorldSample
-from rhot_tools.measures.output import counted, json_option, show
+from rhot_tools.measures.output import counted, duration_option, json_option, show
 from rhot_tools.measures.points import PointTrack, false_points, identity_swaps, point_track
 from rhot_tools.measures.rows import Row, Section, check_output
 
@@ -192,13 +192,11 @@ _WRONG_PX: Final = 14.0
 
 
 @click.command("two-hands")
-@click.option(
-    "--duration",
-    "duration_s",
-    type=FiniteRange(1, 3600),
-    default=20.0,
-    show_default=True,
-    help="Seconds of pictures. Each takes about three of computing: one to draw it and find markers, two to track it. "
+@duration_option(
+    1,
+    3600,
+    20.0,
+    "Seconds of pictures. Each takes about three of computing: one to draw it and find markers, two to track it. "
     "24 seconds show two cycles.",
 )
 @click.option(

@@ -13,19 +13,19 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rhot.cli.options import Finite, FiniteRange, bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.report.html import figures_table
 from rhot.rig import CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE, nominal_camera
 from rhot.text import as_argument
-from rhot_calibration.cameras.board.grid import DEFAULT_DICTIONARY, parse_board
 from rhot_calibration.cameras.calibration import Calibrated, bow_mm, calibrate_rig, cameras_file, refuse_other_board
 from rhot_calibration.cameras.figures import MARKER_SIGMA_PX
 from rhot_calibration.cameras.interchange.interchange import export_opencv_yaml, import_cameras
 from rhot_calibration.cameras.live.live import collect
 from rhot_calibration.cameras.pictures import PictureReading, read_pictures
 from rhot_calibration.cameras.solve.views import Board
+from rhot_calibration.options import board_options, dry_run_option, live_option, stated_board
 from rhot_calibration.writing import write_found
 
 # What `rhot calibrate cameras` prints.
@@ -142,15 +142,12 @@ _UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 @click.command()
 @click.argument("recording", required=False, type=click.Path(path_type=Path))
-@click.option("--board", "counts", metavar="CxR", help="Inner corners along and across, such as 9x6.")
-@click.option("--square-mm", type=Finite(), help="Side of a square, measured on the print.")
-@click.option("--marker-mm", type=Finite(), help="Side of the markers of a ChArUco board.")
-@click.option("--dictionary", default=DEFAULT_DICTIONARY, show_default=True, help="Markers of a ChArUco board.")
+@board_options
 @click.option("--baseline-mm", type=FiniteRange(min=1.0), help="Measured distance of the first two lenses; checked.")
-@click.option("--live", is_flag=True, help="Take the pictures now, from the running capture services.")
+@live_option()
 @click.option("--pictures", "out", type=click.Path(path_type=Path), help="With --live: folder to keep the pictures in.")
 @click.option("--enough", type=click.IntRange(min=5), help="With --live: stop after this many pictures.")
-@click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
+@dry_run_option
 @click.option(
     "--import",
     "imported",
@@ -216,7 +213,7 @@ def cameras(
     if imported:
         _import(rig, imported, unit, square_mm, names, dry_run, console)
     elif recording is not None or live:
-        board = _board(counts, square_mm, marker_mm, dictionary)
+        board = stated_board(counts, square_mm, marker_mm, dictionary)
         if live:
             folder = out or Path(f"calibration-{datetime.now().astimezone():%Y%m%d-%H%M%S}")
             config = tool_bus(rig_path, connect, namespace)
@@ -232,14 +229,6 @@ def cameras(
         raise ConfigError("nothing to calibrate from: give a folder of pictures, --live or --import; see --help")
     if exported is not None:
         _export(rig_path, exported, console)
-
-
-def _board(counts: str | None, square_mm: float | None, marker_mm: float | None, dictionary: str) -> Board:
-    if counts is None or square_mm is None:
-        raise ConfigError(
-            "which board? Give --board (inner corners, such as 9x6) and --square-mm (measured, such as 25)"
-        )
-    return parse_board(counts, 1e-3 * square_mm, None if marker_mm is None else 1e-3 * marker_mm, dictionary)
 
 
 def _read(rig: Rig, recording: Path, board: Board) -> PictureReading:

@@ -24,6 +24,7 @@ from rhot_calibration.colors.import_2018 import load_box_calibration, load_camer
 from rhot_calibration.colors.learning import learn_colors, live_pictures
 from rhot_calibration.colors.picking.picks import parse_places
 from rhot_calibration.colors.report.picture import confusion_table, marker_table, report_picture
+from rhot_calibration.options import live_option
 from rhot_calibration.picture_light import BLACK, PictureLight
 from rhot_calibration.writing import write_found
 from rhot_capture.preview import preview_jpeg
@@ -49,7 +50,7 @@ _MOST_PIXELS: Final = 16_000_000
     metavar="NAME=U,V,W,H[@PICTURE]",
     help="A rectangle around a marker: upper left corner and size, pixels. Some surroundings in it do no harm.",
 )
-@click.option("--live", is_flag=True, help="Take the pictures from the running capture services, one per camera.")
+@live_option("Take the pictures from the running capture services, one per camera.")
 @click.option(
     "--save",
     "save_path",

@@ -30,6 +30,7 @@ from rhot_calibration.hand.samples import (
     recorded_points,
     stored_points,
 )
+from rhot_calibration.options import live_option
 from rhot_calibration.writing import write_found
 
 
@@ -51,7 +52,7 @@ class _Stretch(click.ParamType[PoseWindow]):
 
 @click.command()
 @click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
-@click.option("--live", is_flag=True, help=f"Use the running rig; tells you what to do, {LIVE_S:.0f} s in all.")
+@live_option(f"Use the running rig; tells you what to do, {LIVE_S:.0f} s in all.")
 @click.option(
     "--flat", metavar="START-END", type=_Stretch(), help="When the hand is flat, s from the start.  [default: found]"
 )

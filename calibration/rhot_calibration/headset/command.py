@@ -15,6 +15,7 @@ from rhot.rig import BusConfig, load_rig
 from rhot.rig.folder import HEADSET_FILE
 from rhot_calibration.headset.fit import headset_file, judged, report_lines
 from rhot_calibration.headset.streams import WANTED, ViewCollector, collect_views, views_recorded
+from rhot_calibration.options import dry_run_option, live_option
 from rhot_calibration.writing import write_found
 
 _PATIENCE_S: Final = 30.0
@@ -23,7 +24,7 @@ _SAY_EVERY: Final = 25
 
 @click.command()
 @click.argument("recording", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path, file_okay=False))
-@click.option("--live", is_flag=True, help="Use the running rig.")
+@live_option("Use the running rig.")
 @click.option("--marker", "marker_id", type=click.IntRange(0), help="Number of the marker.  [default: the left foot's]")
 @click.option(
     "--size-mm", type=FiniteRange(5, 500), help="Side of its black square.  [default: marker_size_m of [feet]]"
@@ -31,7 +32,7 @@ _SAY_EVERY: Final = 25
 @click.option(
     "--views", "wanted", type=click.IntRange(40, 1000), default=WANTED, show_default=True, help="Views to take, live."
 )
-@click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
+@dry_run_option
 @rig_option
 @bus_options
 def headset(

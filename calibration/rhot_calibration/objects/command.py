@@ -37,6 +37,7 @@ from rhot_calibration.objects.record import (
 )
 from rhot_calibration.objects.touch.command import calibrate_by_touch
 from rhot_calibration.objects.touch.streams import TOUCHES_A_FACE, touch_task
+from rhot_calibration.options import dry_run_option, live_option
 from rhot_calibration.writing import write_found
 
 # The options of `rhot calibrate objects --touch`.
@@ -230,7 +231,7 @@ class _Earlier:
 
 @click.command()
 @click.argument("table", metavar="[PLACES.csv]", required=False, type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--live", is_flag=True, help="Take the places from the running rig; needs --object and --marker.")
+@live_option("Take the places from the running rig; needs --object and --marker.")
 @click.option("--object", "object_id", metavar="ID", help="The tracked device, as in [objects.ID] of rig.toml.")
 @click.option("--marker", metavar="NAME", help="The marker that is fixed to it (or touched with it).")
 @click.option(
@@ -265,7 +266,7 @@ class _Earlier:
     help="With --realign: by how much it has probably turned since.",
 )
 @touch_options
-@click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
+@dry_run_option
 @rig_option
 @bus_options
 def objects(

@@ -10,15 +10,15 @@ import numpy as np
 from rich.console import Console
 
 from rhot.bus import CONNECT_S, Bus
-from rhot.cli.options import Finite, FiniteRange, bus_options, rig_option, tool_bus
+from rhot.cli.options import FiniteRange, bus_options, rig_option, tool_bus
 from rhot.errors import CalibrationError, ConfigError
 from rhot.rig import Rig, StageFile, load_rig
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
 from rhot.rig.cameras import camera_models
 from rhot.rig.folder import STAGE_FILE, registration_name, registration_path
-from rhot_calibration.cameras.board.grid import DEFAULT_DICTIONARY, parse_board
 from rhot_calibration.cameras.pictures import read_pictures
 from rhot_calibration.cameras.solve.views import Board, ViewSet
+from rhot_calibration.options import board_options, dry_run_option, live_option, stated_board
 from rhot_calibration.stage.desk import DeskFit, fit_desk, residual_text
 from rhot_calibration.stage.floor import FORWARDS, Forward, desk_file, look_at_desk, registration_stage
 from rhot_calibration.writing import write_found
@@ -26,12 +26,9 @@ from rhot_calibration.writing import write_found
 
 @click.command()
 @click.argument("recording", metavar="[PICTURES]", required=False, type=click.Path(path_type=Path))
-@click.option("--live", is_flag=True, help="Take the pictures now, from the running capture services.")
+@live_option()
 @click.option("--registration", is_flag=True, help="Take the floor of the registered tracking system (SteamVR).")
-@click.option("--board", "counts", metavar="CxR", help="Inner corners of the board along and across, such as 9x6.")
-@click.option("--square-mm", type=Finite(), help="Side of a square, measured on the print.")
-@click.option("--marker-mm", type=Finite(), help="Side of the markers of a ChArUco board.")
-@click.option("--dictionary", default=DEFAULT_DICTIONARY, show_default=True, help="Markers of a ChArUco board.")
+@board_options
 @click.option(
     "--desk-mm",
     type=FiniteRange(1e3 * LOWEST_DESK_M, 1e3 * HIGHEST_DESK_M),
@@ -51,7 +48,7 @@ from rhot_calibration.writing import write_found
     show_default=True,
     help="Where the person looks who sits at the desk, in the first camera's picture; hands come in at the other edge.",
 )
-@click.option("--dry-run", is_flag=True, help="Print the result and write nothing.")
+@dry_run_option
 @rig_option
 @bus_options
 def stage(
@@ -98,12 +95,11 @@ def stage(
             )
         found = registration_stage(rig.registration_of("steamvr"), "steamvr")
     else:
-        if counts is None or square_mm is None or desk_mm is None:
+        if desk_mm is None:
             raise ConfigError(
-                "give --board (inner corners, such as 9x6), --square-mm (measured, such as 25) and --desk-mm (height "
-                "of the desk over the floor, such as 740)"
+                "give --desk-mm (height of the desk over the floor, such as 740) beside --board and --square-mm"
             )
-        board = parse_board(counts, 1e-3 * square_mm, None if marker_mm is None else 1e-3 * marker_mm, dictionary)
+        board = stated_board(counts, square_mm, marker_mm, dictionary)
         if not rig.calibrated:
             raise CalibrationError(f"{rig.path}: the cameras are not calibrated; run `rhot calibrate cameras` first")
         if live:

@@ -53,6 +53,12 @@ def rig_option(command: F) -> F:
     )(command)
 
 
+def other_rig_option(about: str, **settings: Any) -> Callable[[F], F]:
+    """Return what adds `--rig` to a command that also works without one, as `rig_path`; other settings are click's."""
+    folder = click.Path(path_type=Path, file_okay=False)
+    return click.option("--rig", "rig_path", type=folder, help=about, **settings)
+
+
 def namespace_option(command: F) -> F:
     """Add `--namespace`."""
     return click.option(

@@ -11,6 +11,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from rhot.cli.options import FiniteRange
 from rhot.report.html import html_page
 from rhot.rig.folder import write_text_atomic
 from rhot_tools.measures.provenance import provenance
@@ -60,6 +61,23 @@ def json_option(command: F) -> F:
         type=click.Path(path_type=Path, dir_okay=False),
         help="Also write every figure to this file, as JSON.",
     )(command)
+
+
+def quick_option(about: str) -> Callable[[F], F]:
+    """Return what adds `--quick`: a rougher run in less time."""
+    return click.option("--quick", is_flag=True, help=about)
+
+
+def jobs_option(about: str, default: int = 1, **settings: Any) -> Callable[[F], F]:
+    """Return what adds `--jobs`: how much runs at the same time; other settings are click's."""
+    settings = {"show_default": True, **settings}
+    return click.option("--jobs", type=click.IntRange(1, 64), default=default, help=about, **settings)
+
+
+def duration_option(low: float, high: float, default: float, about: str) -> Callable[[F], F]:
+    """Return what adds `--duration`, as `duration_s`."""
+    kind = FiniteRange(low, high)
+    return click.option("--duration", "duration_s", type=kind, default=default, show_default=True, help=about)
 
 
 def page_option(flag: str) -> Callable[[F], F]:
