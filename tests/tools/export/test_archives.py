@@ -47,10 +47,12 @@ def test_nwb_is_read_by_pynwb(recording: Path, take: Take, tmp_path: Path) -> No
     pynwb = pytest.importorskip("pynwb")
     pytest.importorskip("ndx_pose")
     file = tmp_path / "x.nwb"
-    written(recording, "--nwb", str(file))
+    written(recording, "--nwb", str(file), "--bids-name", "sub-07_task-x")
     assert not pynwb.validate(path=str(file))
     with pynwb.NWBHDF5IO(str(file), "r") as opened:
         nwb = opened.read()
+        # Archives refuse a file that does not say who was recorded.
+        assert (nwb.subject.subject_id, nwb.subject.species) == ("07", "Homo sapiens")
         behavior = nwb.processing["behavior"]
         assert 1e9 * nwb.session_start_time.timestamp() == pytest.approx(take.start_ns, abs=1e3)
         for side, hand in take.hands.items():

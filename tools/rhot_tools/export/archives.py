@@ -49,81 +49,42 @@ def _require_tracks(take: Take, option: str) -> None:
 # NWB.
 
 
-def write_nwb(file: Path, take: Take, name: str) -> int:
+def write_nwb(file: Path, take: Take, name: str, subject: str) -> int:
     """Write a Neurodata Without Borders file with hands as poses of the extension ndx-pose; return how many tracks.
 
     Args:
         file: to write.
         take: in the frame to write.
         name: of the session.
+        subject: label of the person; archives refuse a file without one.
 
     Raises:
         ConfigError: there is nothing to write, or a library is missing.
     """
     _require_tracks(take, "--nwb")
     pynwb, poses = (load_library(name, "--nwb", "archives") for name in ("pynwb", "ndx_pose"))
-    behavior = importlib.import_module("pynwb.behavior")
     nwb = pynwb.NWBFile(
         session_description=f"motion tracked by {SOFTWARE}",
         identifier=f"{name}-{take.start_ns}",
         session_start_time=start_of(take),
+        keywords=["motion capture", "pose estimation"],
+        subject=importlib.import_module("pynwb.file").Subject(subject_id=subject, species="Homo sapiens", sex="U"),
     )
     module = nwb.create_processing_module("behavior", "tracked motion")
-    skeletons = []
     where = frame_of(take)
-    for track in _joint_tracks(take):
-        label = track.name.replace("/", "_")
-        places = {joint: number for number, joint in enumerate(track.joint_names)}
-        edges = [(places[p], n) for joint, n in places.items() if (p := PARENTS.get(joint)) in places]
-        skeleton = poses.Skeleton(
-            name=label, nodes=list(track.joint_names), edges=np.array(edges, np.uint8).reshape(-1, 2)
-        )
-        skeletons.append(skeleton)
-        series: list[Any] = []
-        for joint, number in places.items():
-            series.append(
-                poses.PoseEstimationSeries(
-                    name=joint,
-                    description=f"position of {joint}",
-                    data=track.positions[:, number],
-                    unit="meters",
-                    reference_frame=where,
-                    timestamps=track.t if not series else series[0],
-                    confidence=confidence(track.state),
-                    confidence_definition=_CONFIDENCE,
-                )
-            )
-        module.add(
-            poses.PoseEstimation(
-                name=label,
-                pose_estimation_series=series,
-                description=f"joints of {track.name} by their names in OpenXR",
-                source_software=SOFTWARE,
-                source_software_version=__version__,
-                skeleton=skeleton,
-            )
-        )
-        for what, data, unit, columns in (
-            ("angles", track.angles, "radians", track.angle_names),
-            ("sigma", track.sigma, "meters", track.joint_names),
-        ):
-            module.add(
-                pynwb.TimeSeries(
-                    name=f"{label}_{what}", data=data, unit=unit, timestamps=track.t, comments=", ".join(columns),
-                    description="standard deviations of positions" if what == "sigma" else "joint angles",
-                )
-            )  # fmt: skip
+    skeletons = [_add_joints(module, track, where, pynwb, poses) for track in _joint_tracks(take)]
     if skeletons:
         module.add(poses.Skeletons(skeletons=skeletons))
     rigid = [track for track in take.tracks.values() if isinstance(track, PointTrack | RigidTrack)]
     if rigid:
-        position = behavior.Position(name="position")
+        position = importlib.import_module("pynwb.behavior").Position(name="position")
         module.add(position)
         for each in rigid:
             label = each.name.replace("/", "_")
             position.create_spatial_series(
-                name=label, data=each.positions, unit="meters", reference_frame=where, timestamps=each.t
-            )
+                name=label, data=each.positions, unit="meters", reference_frame=where, timestamps=each.t,
+                description=f"position of {each.name}",
+            )  # fmt: skip
             if isinstance(each, RigidTrack):
                 module.add(
                     pynwb.TimeSeries(
@@ -142,6 +103,56 @@ def write_nwb(file: Path, take: Take, name: str) -> int:
     with replacing(file) as part, h5py.File(part, "w") as opened, pynwb.NWBHDF5IO(file=opened, mode="w") as out:
         out.write(nwb)
     return len(take.tracks)
+
+
+def _add_joints(module: Any, track: JointTrack, where: str, pynwb: Any, poses: Any) -> Any:
+    """Add a hand or body to a processing module: its joints, angles and standard deviations; return its skeleton.
+
+    Args:
+        module: of the file.
+        track: to add.
+        where: what the axes are, for people.
+        pynwb, poses: the libraries, which are loaded when asked for.
+    """
+    label = track.name.replace("/", "_")
+    places = {joint: number for number, joint in enumerate(track.joint_names)}
+    edges = [(places[p], n) for joint, n in places.items() if (p := PARENTS.get(joint)) in places]
+    skeleton = poses.Skeleton(name=label, nodes=list(places), edges=np.array(edges, np.uint8).reshape(-1, 2))
+    series: list[Any] = []
+    for joint, number in places.items():
+        series.append(
+            poses.PoseEstimationSeries(
+                name=joint,
+                description=f"position of {joint}",
+                data=track.positions[:, number],
+                unit="meters",
+                reference_frame=where,
+                timestamps=track.t if not series else series[0],
+                confidence=confidence(track.state),
+                confidence_definition=_CONFIDENCE,
+            )
+        )
+    module.add(
+        poses.PoseEstimation(
+            name=label,
+            pose_estimation_series=series,
+            description=f"joints of {track.name} by their names in OpenXR",
+            source_software=SOFTWARE,
+            source_software_version=__version__,
+            skeleton=skeleton,
+        )
+    )
+    for what, about, data, unit, columns in (
+        ("angles", "joint angles", track.angles, "radians", track.angle_names),
+        ("sigma", "standard deviations of positions", track.sigma, "meters", track.joint_names),
+    ):
+        module.add(
+            pynwb.TimeSeries(
+                name=f"{label}_{what}", data=data, unit=unit, timestamps=track.t, comments=", ".join(columns),
+                description=about,
+            )
+        )  # fmt: skip
+    return skeleton
 
 
 def _joint_tracks(take: Take) -> list[JointTrack]:

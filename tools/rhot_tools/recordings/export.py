@@ -215,16 +215,19 @@ def _write_archives(
         take = dataclasses.replace(take, spaces={**take.spaces, "stage": np.array(rig.stage.T_rig_stage.matrix)})
     if "stage" in take.spaces:
         take = take.in_frame("stage")
+    plain = re.sub(r"[^A-Za-z0-9]", "", files[0].stem) or "rhot"
+    bids_name = bids_name or f"sub-01_task-{plain}"
     if nwb is not None:
-        click.echo(f"{nwb}: {write_nwb(nwb, take, files[0].stem)} tracks, metres, radians")
+        subject = bids_name.split("_")[0].removeprefix("sub-")
+        click.echo(f"{nwb}: {write_nwb(nwb, take, files[0].stem, subject)} tracks, metres, radians")
+        click.echo(f"{nwb}: subject {subject}; archives also ask for age and sex, which pynwb adds")
     if mat is not None:
         click.echo(f"{mat}: {write_mat(mat, take)} tracks, metres, radians")
     if netcdf is not None:
         click.echo(f"{netcdf}: {write_netcdf(netcdf, take)} groups, metres")
     if bids is not None:
-        plain = re.sub(r"[^A-Za-z0-9]", "", files[0].stem) or "rhot"
         rate_hz = rate_hz or _rate_of(take)
-        file = write_bids(bids, take, bids_name or f"sub-01_task-{plain}", rate_hz)
+        file = write_bids(bids, take, bids_name, rate_hz)
         click.echo(f"{file}: at {rate_hz:g} Hz, metres, radians")
 
 
@@ -269,7 +272,11 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
 @click.option("--c3d", type=_FILE, help="Markers for Mokka, Visual3D, MATLAB and others.")
 @click.option("--nwb", type=_FILE, help="Neurodata Without Borders, hands by ndx-pose.")
 @click.option("--bids", type=click.Path(path_type=Path, file_okay=False), help="Dataset of Motion-BIDS to add to.")
-@click.option("--bids-name", metavar="NAME", help="With --bids: sub-<label>[_ses-<label>]_task-<label>[_run-<index>].")
+@click.option(
+    "--bids-name",
+    metavar="NAME",
+    help="With --bids: sub-<label>[_ses-<label>]_task-<label>[_run-<index>]; the subject of --nwb.",
+)
 @click.option("--mat", type=_FILE, help="Structs for MATLAB.")
 @click.option("--netcdf", type=_FILE, help="netCDF, a group for each kind of thing.")
 @click.option("--isaac", type=_FILE, help="MCAP file of hands for NVIDIA Isaac Teleop.")
