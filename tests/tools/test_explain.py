@@ -80,6 +80,17 @@ def test_pictures_alone_and_a_time_on_the_rig_clock(take: Path, tmp_path: Path) 
     assert same == page
 
 
+def test_a_time_of_pictures_whose_clock_does_not_count_from_1970(take: Path, tmp_path: Path) -> None:
+    first_ns, _ = time_span(load_recording(take / "take"))
+    shutil.copytree(take / "take", tmp_path / "take")
+    for file in (tmp_path / "take").glob("*/timestamps.csv"):
+        head, *rows = file.read_text().splitlines()
+        shifted = [f"{frame},{int(t_ns) - first_ns + 210 * 10**9}" for frame, t_ns in (row.split(",") for row in rows)]
+        file.write_text("\n".join((head, *shifted)) + "\n")
+    page = page_of(tmp_path / "a.html", str(tmp_path / "take"), "--at", "211000000000", "--rig", str(take / "rig"))
+    assert len(rows_of(page, "Candidates in left")) >= 6
+
+
 def test_markers_are_drawn_without_pictures(take: Path, tmp_path: Path) -> None:
     shutil.copy(take / "take.mcap", tmp_path / "alone.mcap")
     page = page_of(tmp_path / "page.html", str(tmp_path / "alone.mcap"), "--at", "1.0")

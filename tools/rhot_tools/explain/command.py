@@ -131,7 +131,7 @@ def published_then(moment: Moment, trace: Trace) -> list[Explanation]:
 
 
 def _time(_: click.Context, __: click.Parameter, text: str) -> float:
-    """Return seconds, or nanoseconds since 1970 as an exact integer."""
+    """Return seconds, or nanoseconds as an exact integer."""
     try:
         value = int(text) if text.isdecimal() else float(text)
     except ValueError:

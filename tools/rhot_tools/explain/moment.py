@@ -199,8 +199,8 @@ def _up_to(pictures: Recording, t_ns: int, lead_s: float) -> Recording | None:
 
 
 def _absolute(at: float, first_ns: int) -> int:
-    # Times from here on are nanoseconds since 1970.
-    return int(at) if at >= (10**15) else first_ns + round(at * 1e9)
+    # No recording is three years long, so from here on times are nanoseconds, of whatever clock the pictures have.
+    return int(at) if at >= 10**8 else first_ns + round(at * 1e9)
 
 
 def _messages(
