@@ -337,6 +337,7 @@ _TARGETS: Final = {
 }
 _TITLES: Final = {"G1": "gestures", "G2": "a grasp"}
 _OFFSET: Final = "after one constant offset per marker, along its bone and along the viewing ray"
+_TIPS: Final = "the set's tips are the ends of the fingers; ours lie one radius inside, as OpenXR has them"
 
 
 @click.command()
@@ -461,7 +462,7 @@ def _rows(targets: Targets, scores: dict[str, Score]) -> tuple[Row, ...]:
                 peer=peer(beside.raw_median_mm),
             ),
             Row(f"{step}, nothing removed, p95", score.raw_p95_mm, "mm", peer=peer(beside.raw_p95_mm)),
-            Row(f"{step}, joints, mean", score.joints_mm, "mm", most=targets.joints_mm),
+            Row(f"{step}, joints, mean", score.joints_mm, "mm", most=targets.joints_mm, note=_TIPS),
             Row(f"{step}, coverage", score.coverage, "%", least=coverage, peer=peer(beside.coverage, "%")),
             Row(f"{step}, wrong identity", score.swaps, most=0),
             Row(f"{step}, hallucinations", score.hallucinations, most=0),
