@@ -71,6 +71,8 @@ with contextlib.suppress(KeyboardInterrupt):
         took_ms.append(1e3 * (time.perf_counter() - begin))
         json.dump({"t_ns": int(t_ns), **dict(zip(robot.joint_names, angles.tolist(), strict=True))}, sys.stdout)
         sys.stdout.write("\n")
+        # A robot waits for no full buffer.
+        sys.stdout.flush()
         model.compute_forward_kinematics(angles)
         at = {name: model.get_link_pose(model.get_link_index(name))[:3, 3] for link in links for name in link}
         reached = np.array([at[end] - at[origin] for origin, end in links]) / config.scaling_factor
