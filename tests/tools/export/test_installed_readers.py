@@ -138,6 +138,25 @@ def test_the_validator_of_bids_finds_no_error(poses_recording: Path, tmp_path: P
     assert [issue for issue in issues if issue["severity"] == "error"] == []
 
 
+def test_the_inspector_of_the_dandi_archive_asks_only_for_the_persons_age(
+    poses_recording: Path, tmp_path: Path
+) -> None:
+    inspector = PYTHON.with_name("nwbinspector")
+    if not inspector.exists():
+        pytest.skip("no inspector of NWB: `make stacks` installs it")
+    file, found = tmp_path / "x.nwb", tmp_path / "found.json"
+    written(poses_recording, "--nwb", str(file))
+    command = [str(inspector), str(file), "--config", "dandi", "--json-file-path", str(found)]
+    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    refused = {
+        each["check_function_name"]
+        for each in json.loads(found.read_text())["messages"]
+        if each["importance"] not in {"BEST_PRACTICE_SUGGESTION", "BEST_PRACTICE_VIOLATION"}
+    }
+    # Only the lab knows the age; these poses were recorded in a future year.
+    assert refused - {"check_session_start_time_future_date"} == {"check_subject_age"}
+
+
 def test_a_receiver_of_vmc_gets_every_bone(free_port: int) -> None:
     if not PYTHON.exists():
         pytest.skip("no environment of readers: `make stacks` makes it")
