@@ -220,7 +220,7 @@ def _write_archives(
     if nwb is not None:
         subject = bids_name.split("_")[0].removeprefix("sub-")
         click.echo(f"{nwb}: {write_nwb(nwb, take, files[0].stem, subject)} tracks, metres, radians")
-        click.echo(f"{nwb}: subject {subject}; archives also ask for age and sex, which pynwb adds")
+        click.echo(f"{nwb}: subject {subject}; archives also ask for age and sex: add them with pynwb")
     if mat is not None:
         click.echo(f"{mat}: {write_mat(mat, take)} tracks, metres, radians")
     if netcdf is not None:
