@@ -88,8 +88,10 @@ def test_bids_has_the_numbers(recording: Path, take: Take, tmp_path: Path) -> No
         export, [str(recording), "--bids", str(folder), "--bids-name", "sub-07_ses-a_task-pose_run-1"]
     )
     assert "is there already" in str(again.exception)
-    wrong = CliRunner().invoke(export, [str(recording), "--bids", str(folder), "--bids-name", "grasp"])
-    assert "--bids-name grasp: write sub-01_task-grasp" in str(wrong.exception)
+    for option in ("--bids", "--nwb"):
+        wrong = CliRunner().invoke(export, [str(recording), option, str(tmp_path / "wrong"), "--bids-name", "grasp"])
+        assert "--bids-name grasp: write sub-01_task-grasp" in str(wrong.exception)
+        assert not (tmp_path / "wrong").exists()
 
 
 def test_mat_is_read_by_scipy(recording: Path, take: Take, tmp_path: Path) -> None:

@@ -164,6 +164,22 @@ def _joint_tracks(take: Take) -> list[JointTrack]:
 _BIDS_NAME: Final = re.compile(r"sub-([A-Za-z0-9]+)(_ses-[A-Za-z0-9]+)?_task-([A-Za-z0-9]+)(_run-[0-9]+)?")
 
 
+def _bids_name(name: str) -> re.Match[str]:
+    match = _BIDS_NAME.fullmatch(name)
+    if match is None:
+        raise ConfigError(f"--bids-name {name}: write sub-01_task-grasp, or sub-01_ses-2_task-grasp_run-1")
+    return match
+
+
+def subject_of(name: str) -> str:
+    """Return the label of the person in a name as `write_bids` takes it.
+
+    Raises:
+        ConfigError: it is none of BIDS.
+    """
+    return _bids_name(name)[1]
+
+
 def write_bids(folder: Path, take: Take, name: str, rate_hz: float) -> Path:
     """Add a recording to a dataset of Motion-BIDS, which is made if it is not there; return the file of its motion.
 
@@ -177,9 +193,7 @@ def write_bids(folder: Path, take: Take, name: str, rate_hz: float) -> Path:
         ConfigError: the name is none of BIDS, the file is there already, or there is nothing to write.
     """
     _require_tracks(take, "--bids")
-    match = _BIDS_NAME.fullmatch(name)
-    if match is None:
-        raise ConfigError(f"--bids-name {name}: write sub-01_task-grasp, or sub-01_ses-2_task-grasp_run-1")
+    match = _bids_name(name)
     subject, session, task = f"sub-{match[1]}", match[2] or "", match[3]
     motion = folder / subject / session.removeprefix("_") / "motion" if session else folder / subject / "motion"
     before = f"{name.split('_run-', maxsplit=1)[0]}_tracksys-{SOFTWARE}"

@@ -26,7 +26,7 @@ from rhot.rig import CameraCalibration, Rig, load_rig
 from rhot.rig.folder import write_text_atomic
 from rhot.take import Take
 from rhot.take.reading import load
-from rhot_tools.export.archives import write_bids, write_mat, write_netcdf, write_nwb
+from rhot_tools.export.archives import subject_of, write_bids, write_mat, write_netcdf, write_nwb
 from rhot_tools.export.bvh import RIG_TO_FILE, STAGE_TO_FILE, bvh_text
 from rhot_tools.export.columns import tables
 from rhot_tools.export.frames import (
@@ -218,7 +218,7 @@ def _write_archives(
     plain = re.sub(r"[^A-Za-z0-9]", "", files[0].stem) or "rhot"
     bids_name = bids_name or f"sub-01_task-{plain}"
     if nwb is not None:
-        subject = bids_name.split("_")[0].removeprefix("sub-")
+        subject = subject_of(bids_name)
         click.echo(f"{nwb}: {write_nwb(nwb, take, files[0].stem, subject)} tracks, metres, radians")
         click.echo(f"{nwb}: subject {subject}; archives also ask for age and sex: add them with pynwb")
     if mat is not None:
