@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bridged.poses import POSES, hand_message
-from live_rig import publishing
+from running.live_rig import publishing
 
 from rhot.messages import Side
 

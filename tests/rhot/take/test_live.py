@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pytest
 from hand_messages import hand_pose, point_set
-from live_rig import START_NS, publish, publishing
+from running.live_rig import START_NS, publish, publishing
 
 import rhot
 from rhot.bus import Bus
