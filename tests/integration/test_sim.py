@@ -157,7 +157,7 @@ def test_the_rig_stays_after_the_summary_while_a_person_watches(
     """In a terminal: summary, next commands, and the pages go on until Ctrl-C."""
     rig, endpoint = simulated_rig
     terminal, slave = pty.openpty()
-    command = [sys.executable, "-m", "rhot", "sim", "--rig", str(rig), "--duration", "3", "--listen", endpoint]
+    command = [sys.executable, "-m", "rhot", "sim", "--rig", str(rig), "--duration", "8", "--listen", endpoint]
     said = b""
     with subprocess.Popen(
         [*command, "--page-port", str(free_port)], stdin=slave, stdout=slave, stderr=slave, start_new_session=True
