@@ -28,7 +28,7 @@ import numpy as np
 from rich.console import Console
 
 from rhot.anatomy.body_proportions import BodyModel
-from rhot.cli.options import FiniteRange
+from rhot.cli.options import FiniteRange, jobs_option
 from rhot.messages import FootPose, MarkerFrame
 from rhot.offline import track, track_smoothly
 from rhot.recording import load_recording
@@ -48,7 +48,7 @@ from rhot_sim.sources.imu import SimulatedSource
 from rhot_sim.walker.folder import write_walker_rig
 from rhot_sim.walker.person import person_of
 from rhot_sim.walker.world import WalkerWorld
-from rhot_tools.measures.output import counted, jobs_option, json_option, show
+from rhot_tools.measures.output import counted, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
 EARNS: Final = 3.0

@@ -10,7 +10,7 @@ import cv2
 from rich.console import Console
 from rich.progress import Progress
 
-from rhot.cli.options import FiniteRange, other_rig_option
+from rhot.cli.options import FiniteRange, rig_folder_option
 from rhot.rig import Rig
 from rhot_bench.speed.bridges import bridges_section
 from rhot_bench.speed.cores import SpeedScene, capture_section, fusion_section, ik_section, pipeline_section
@@ -47,7 +47,7 @@ NAMED_PARTS: Final = ("page", "soak")
     help="How long the soak runs. Ctrl-C ends it sooner, with the figures so far.",
 )
 @json_option
-@other_rig_option("Simulated rig to measure on, made by `rhot init RIG --sim`.  [default: a temporary one]")
+@rig_folder_option("Simulated rig to measure on, made by `rhot init RIG --sim`.  [default: a temporary one]")
 def bench(quick: bool, parts: tuple[str, ...], hours: float, json_path: Path | None, rig_path: Path | None) -> None:
     """Measure how fast each part is on this machine, and compare with the 2018 thesis.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-from rhot.cli.options import other_rig_option
+from rhot.cli.options import rig_folder_option
 from rhot.errors import ConfigError
 from rhot.messages import PointSet
 from rhot.recording import MarkerTrack, Recording, load_recording, marker_track_frames
@@ -31,7 +31,7 @@ _RATE_HZ: Final = 30.0
 
 @click.command()
 @click.argument("data_path", metavar="DATA", type=click.Path(path_type=Path))
-@other_rig_option("Rig of the recordings; two parallel cameras 75 mm apart when not given.")
+@rig_folder_option("Rig of the recordings; two parallel cameras 75 mm apart when not given.")
 @quick_option("Only the first 600 frames of each.")
 @json_option
 def streams(data_path: Path, rig_path: Path | None, quick: bool, json_path: Path | None) -> None:

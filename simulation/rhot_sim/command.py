@@ -16,7 +16,7 @@ import click
 from rich.console import Console, RenderableType
 
 from rhot.bus import Bus
-from rhot.cli.options import DEFAULT_RIG, FiniteRange, endpoints, other_rig_option
+from rhot.cli.options import DEFAULT_RIG, FiniteRange, endpoints, rig_folder_option
 from rhot.cli.page import Pages, free_pages, page_options
 from rhot.errors import ConfigError
 from rhot.messages import Side
@@ -208,7 +208,7 @@ _TO_CALIBRATE: Final = ("board", "desk_board", "touch", "headset")
     metavar="ENDPOINT",
     help=f"Where the router listens.  [default: {DEFAULT_ENDPOINT}, or a free port]",
 )
-@other_rig_option(
+@rig_folder_option(
     "Rig folder, simulated.",
     envvar="RHOT_RIG",
     default=DEFAULT_RIG,

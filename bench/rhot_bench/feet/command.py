@@ -18,7 +18,7 @@ from rich.console import Console
 
 from rhot.arrays import BoolArray, FloatArray
 from rhot.atomic_file import write_atomic
-from rhot.cli.options import other_rig_option
+from rhot.cli.options import jobs_option, rig_folder_option
 from rhot.errors import ConfigError
 from rhot.messages import Side
 from rhot.report.svg import line_plot
@@ -32,7 +32,6 @@ from rhot_tools.measures.output import (
     counted,
     duration_option,
     html_report,
-    jobs_option,
     json_option,
     page_option,
     show,
@@ -350,7 +349,7 @@ _WITHOUT: Final[dict[str, tuple[Side, ...]]] = {"left": ("left",), "right": ("ri
 )
 @json_option
 @page_option("--html")
-@other_rig_option("Rig with [feet], whose camera, markers and settings are used; a temporary one when not given.")
+@rig_folder_option("Rig with [feet], whose camera, markers and settings are used; a temporary one when not given.")
 def feet(
     runs: str | None,
     seeds: int,

@@ -12,13 +12,13 @@ import numpy as np
 from rich.console import Console
 
 from rhot.arrays import BoolArray, FloatArray
-from rhot.cli.options import FiniteRange
+from rhot.cli.options import FiniteRange, jobs_option
 from rhot_bench.motion.errors import HandErrors, PointErrors, joined_hands, joined_points
 from rhot_bench.motion.recordings import list_recordings
 from rhot_bench.motion.run import Job, RigResult, Stratum, run_job
 from rhot_bench.motion.tracks import MarkerKind
 from rhot_bench.processes import each
-from rhot_tools.measures.output import counted, jobs_option, json_option, show
+from rhot_tools.measures.output import counted, json_option, show
 from rhot_tools.measures.rows import Row, Section, check_output
 
 # Errors of many rigs as rows of a table, beside the references and the targets.

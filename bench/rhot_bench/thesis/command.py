@@ -14,7 +14,7 @@ from rich.console import Console
 
 from rhot.arrays import FloatArray
 from rhot.atomic_file import why_unread
-from rhot.cli.options import other_rig_option
+from rhot.cli.options import rig_folder_option
 from rhot.errors import ConfigError
 from rhot.messages import PointSet
 from rhot.offline import track
@@ -237,7 +237,7 @@ _TABLE: Final = "depth_table.csv"
 @click.argument("data_path", metavar="[DATA]", type=click.Path(path_type=Path), required=False)
 @quick_option("Use fewer pictures; rougher figures.")
 @json_option
-@other_rig_option("Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]")
+@rig_folder_option("Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]")
 def thesis(data_path: Path | None, quick: bool, json_path: Path | None, rig_path: Path | None) -> None:
     """Answer the 2018 thesis's questions: time per frame, jitter of a still hand, depth at 17 distances.
 

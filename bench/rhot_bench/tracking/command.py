@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from rhot.cli.options import FiniteRange, other_rig_option
+from rhot.cli.options import FiniteRange, rig_folder_option
 from rhot.report.svg import histogram, line_plot
 from rhot.rig import Rig
 from rhot.rig.folder import write_text_atomic
@@ -62,7 +62,7 @@ _LEAST_S: Final = 0.6
 @quick_option("Take a tenth of the time; rougher figures.")
 @json_option
 @page_option("--report")
-@other_rig_option("Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]")
+@rig_folder_option("Simulated rig, made by `rhot init RIG --sim`.  [default: a temporary one]")
 def tracking(
     chosen: tuple[str, ...],
     duration_s: float,

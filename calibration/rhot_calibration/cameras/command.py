@@ -19,13 +19,14 @@ from rhot.report.html import figures_table
 from rhot.rig import CamerasFile, Rig, load_rig, read_json_model
 from rhot.rig.folder import CAMERAS_FILE, nominal_camera
 from rhot.text import as_argument
+from rhot_calibration.cameras.board.options import board_options, stated_board
 from rhot_calibration.cameras.calibration import Calibrated, bow_mm, calibrate_rig, cameras_file, refuse_other_board
 from rhot_calibration.cameras.figures import MARKER_SIGMA_PX
 from rhot_calibration.cameras.interchange.interchange import export_opencv_yaml, import_cameras
 from rhot_calibration.cameras.live.live import collect
 from rhot_calibration.cameras.pictures import PictureReading, read_pictures
 from rhot_calibration.cameras.solve.views import Board
-from rhot_calibration.options import board_options, dry_run_option, live_option, stated_board
+from rhot_calibration.options import dry_run_option, live_option
 from rhot_calibration.writing import write_found
 
 # What `rhot calibrate cameras` prints.

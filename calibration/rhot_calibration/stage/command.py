@@ -16,9 +16,10 @@ from rhot.rig import Rig, StageFile, load_rig
 from rhot.rig.calibration import HIGHEST_DESK_M, LOWEST_DESK_M
 from rhot.rig.cameras import camera_models
 from rhot.rig.folder import STAGE_FILE, registration_name, registration_path
+from rhot_calibration.cameras.board.options import board_options, stated_board
 from rhot_calibration.cameras.pictures import read_pictures
 from rhot_calibration.cameras.solve.views import Board, ViewSet
-from rhot_calibration.options import board_options, dry_run_option, live_option, stated_board
+from rhot_calibration.options import dry_run_option, live_option
 from rhot_calibration.stage.desk import DeskFit, fit_desk, residual_text
 from rhot_calibration.stage.floor import FORWARDS, Forward, desk_file, look_at_desk, registration_stage
 from rhot_calibration.writing import write_found

@@ -39,24 +39,24 @@ class FiniteRange(Finite, click.FloatRange):
     """A number between two bounds. Between click's own bounds is `nan`, too, because no comparison rejects it."""
 
 
-def rig_option(command: F) -> F:
-    """Add `--rig`."""
-    return click.option(
-        "--rig",
-        "rig_path",
-        type=click.Path(path_type=Path, file_okay=False),
-        envvar="RHOT_RIG",
-        default=DEFAULT_RIG,
-        show_default=True,
-        show_envvar=True,
-        help="Rig folder.",
-    )(command)
-
-
-def other_rig_option(about: str, **settings: Any) -> Callable[[F], F]:
-    """Return what adds `--rig` to a command that also works without one, as `rig_path`; other settings are click's."""
+def rig_folder_option(about: str, **settings: Any) -> Callable[[F], F]:
+    """Return what adds `--rig`, as `rig_path`; without other settings, which are click's, it may be left out."""
     folder = click.Path(path_type=Path, file_okay=False)
     return click.option("--rig", "rig_path", type=folder, help=about, **settings)
+
+
+def rig_option(command: F) -> F:
+    """Add `--rig` with its usual default."""
+    usual = rig_folder_option(
+        "Rig folder.", envvar="RHOT_RIG", default=DEFAULT_RIG, show_default=True, show_envvar=True
+    )
+    return usual(command)
+
+
+def jobs_option(about: str, default: int = 1, *, show_default: bool | str = True) -> Callable[[F], F]:
+    """Return what adds `--jobs`: how much runs at the same time."""
+    most = click.IntRange(1, 64)
+    return click.option("--jobs", type=most, default=default, show_default=show_default, help=about)
 
 
 def namespace_option(command: F) -> F:

@@ -68,12 +68,6 @@ def quick_option(about: str) -> Callable[[F], F]:
     return click.option("--quick", is_flag=True, help=about)
 
 
-def jobs_option(about: str, default: int = 1, **settings: Any) -> Callable[[F], F]:
-    """Return what adds `--jobs`: how much runs at the same time; other settings are click's."""
-    settings = {"show_default": True, **settings}
-    return click.option("--jobs", type=click.IntRange(1, 64), default=default, help=about, **settings)
-
-
 def duration_option(low: float, high: float, default: float, about: str) -> Callable[[F], F]:
     """Return what adds `--duration`, as `duration_s`."""
     kind = FiniteRange(low, high)

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from rhot.arrays import FloatArray
 from rhot.atomic_file import replacing
-from rhot.cli.options import FiniteRange, other_rig_option
+from rhot.cli.options import FiniteRange, rig_folder_option
 from rhot.errors import ConfigError
 from rhot.geometry.rotations import inverse
 from rhot.messages import Event, Message, Side, Space
@@ -298,7 +298,7 @@ def _pictures(parts: Sequence[RecordedMessages]) -> list[StoredPicture]:
 )
 @click.option("--join", is_flag=True, help="The files are parts of one recording of `rhot record --max-mb`.")
 @click.option("--measured", is_flag=True, help="Leave out poses that are only predicted; not with tables and viewers.")
-@other_rig_option("Rig folder that knows the floor, where the recording does not.")
+@rig_folder_option("Rig folder that knows the floor, where the recording does not.")
 def export(
     files: tuple[Path, ...],
     csv_folder: Path | None,

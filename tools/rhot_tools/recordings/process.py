@@ -23,7 +23,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from rhot.atomic_file import replacing
 from rhot.cli.group import end_orderly_on_sigterm
-from rhot.cli.options import DEFAULT_RIG, other_rig_option
+from rhot.cli.options import DEFAULT_RIG, jobs_option, rig_folder_option
 from rhot.errors import ConfigError, RhotError
 from rhot.messages import FootPose, MarkerFrame, Message, PointSet, encode, encoding_of
 from rhot.recording.attached import file_beside
@@ -31,7 +31,6 @@ from rhot.recording.mcap.writer import McapWriter, attachments_of
 from rhot.rig import Rig
 from rhot.rig.folder import RIG_FILE, settings_files
 from rhot.take.tracking import Retracked, open_recorded
-from rhot_tools.measures.output import jobs_option
 from rhot_tools.trial.verdict import TrialJudge, TrialVerdict
 
 Write = Callable[[str, Message], None]
@@ -174,7 +173,7 @@ def _lines_to(stream: IO[str]) -> Write:
     "written first, then points and hands.",
 )
 @jobs_option("Track this many recordings at once, each on a core of its own.")
-@other_rig_option(
+@rig_folder_option(
     "Rig folder.  [default: the rig that a recording carries, else rig]", envvar="RHOT_RIG", show_envvar=True
 )
 def process(

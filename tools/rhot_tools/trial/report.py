@@ -18,7 +18,7 @@ from rhot import __version__
 from rhot.anatomy.skeleton import FINGERS
 from rhot.arrays import FloatArray
 from rhot.atomic_file import why
-from rhot.cli.options import other_rig_option
+from rhot.cli.options import rig_folder_option
 from rhot.errors import ConfigError
 from rhot.geometry.camera import CameraModel
 from rhot.messages import MarkerFrame, PointSet, ServiceStatus
@@ -450,7 +450,7 @@ def _number(value: float) -> str:
 @click.command()
 @click.argument("files", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", "out_path", type=click.Path(path_type=Path, dir_okay=False), required=True, help="HTML file.")
-@other_rig_option("Rig folder, for recordings without one.")
+@rig_folder_option("Rig folder, for recordings without one.")
 def report(files: tuple[Path, ...], out_path: Path, rig_path: Path | None) -> int:
     """Say on one page whether trials can be used, and why.
 
