@@ -120,7 +120,7 @@ async def test_a_running_rig_is_judged(make_rig: Callable[..., Rig], router: Bus
                 await asyncio.sleep(0.001)
 
         publishing = asyncio.create_task(publish())
-        done = await asyncio.to_thread(run, rig, "--live", "2.5", "--json", "--connect", endpoint)
+        done = await asyncio.to_thread(run, rig, "--live", "8", "--json", "--connect", endpoint)
         await publishing
     assert done.return_value == 1
     assert json.loads(done.stdout)["verdict"] == "bumped"

@@ -82,6 +82,19 @@ def test_a_good_trial_is_good(rig_path: Path, frames: list[MarkerFrame], smooth:
     assert float(values["epipolar shift"].removesuffix(" px")) < 0.5
 
 
+def test_frames_that_nobody_looked_at_are_told(rig_path: Path, frames: list[MarkerFrame]) -> None:
+    third, most = ([one for one in frames if one.frame % keep == 0] for keep in (3, 40))
+    verdict, _ = judged(rig_path, third)
+    assert verdict.level == "doubtful"
+    assert "% of the frames of left were not looked at; its machine is too slow" in verdict.findings[0].text
+    judge = TrialJudge(load_rig(rig_path))
+    for frame in most:
+        judge.add(frame)
+    nearly_empty = judge.verdict()
+    assert (nearly_empty.judged, nearly_empty.exit_code) == (True, 1)
+    assert nearly_empty.findings[0].text.startswith(f"only {len(most)} of ")
+
+
 @pytest.mark.parametrize("since", [0, 20], ids=["from the beginning", "after a while"])
 def test_cameras_whose_times_are_apart_are_told_so(rig_path: Path, frames: list[MarkerFrame], since: int) -> None:
     own = [frame for frame in frames if frame.camera == "left"]

@@ -329,7 +329,7 @@ def _counted(frames: Iterator[MarkerFrame], advance: Callable[[], object]) -> It
 
 
 async def _listen(bus_config: BusConfig, seconds: float, gatherer: TrackGatherer) -> None:
-    """Gather what the running rig publishes.
+    """Gather what the running rig publishes for some seconds from its first frame on.
 
     Raises:
         BusError: no router, or no marker frame in all that time.
@@ -338,10 +338,13 @@ async def _listen(bus_config: BusConfig, seconds: float, gatherer: TrackGatherer
         with _progress("seconds") as progress:
             task = progress.add_task("", total=round(seconds))
             loop = asyncio.get_running_loop()
-            begun = loop.time()
+            begun: float | None = None
             try:
-                async with asyncio.timeout(seconds):
+                async with asyncio.timeout(seconds) as ends:
                     async for _, frame in bus.events("rhot/markers/*").messages(MarkerFrame):
+                        if begun is None:
+                            begun = loop.time()
+                            ends.reschedule(begun + seconds)
                         progress.update(task, completed=int(loop.time() - begun))
                         gatherer.add([frame])
             except TimeoutError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -57,7 +56,7 @@ class Trial:
         take: its arrays.
         verdict: on it.
         rig: that it was recorded with, None if it carries none.
-        lost: camera to frames that never arrived, and all that should have.
+        lost: camera to frames that were never looked at, and all that it took.
         clock_s: largest uncertainty of a camera's clock; NaN if no status says.
         heard: its messages of markers and points, for the jitter.
         fingers: hand to the figures of its five fingers.
@@ -84,27 +83,19 @@ def trial_of(file: Path, rig: Rig | None) -> Trial:
     source = RecordedMessages(file)
     rig = rig or rig_of([source])
     judge, heard = TrialJudge(rig), Heard()
-    numbers: defaultdict[str, list[int]] = defaultdict(list)
     clocks: list[float] = []
     for key, message in source:
         judge.add(message)
         if isinstance(message, MarkerFrame | PointSet):
             heard.note(key, message)
-        if isinstance(message, MarkerFrame):
-            numbers[message.camera].append(message.frame)
-        elif isinstance(message, ServiceStatus) and message.service == "capture":
+        if isinstance(message, ServiceStatus) and message.service == "capture":
             clocks += [] if message.clock_uncertainty_s is None else [message.clock_uncertainty_s]
     take = load(file)
     if not take.tracks:
         raise ConfigError(f"{file}: holds nothing that was tracked; `rhot process` tracks marker frames and pictures")
-    lost = {}
-    for camera, frames in sorted(numbers.items()):
-        # A camera that starts again counts from 0.
-        steps = np.diff(np.array(frames))
-        lost[camera] = int(np.sum(steps[steps > 0] - 1)), int(np.sum(steps[steps > 0])) + 1
     fingers = {side: finger_figures(take, hand, rig) for side, hand in sorted(take.hands.items())}
     verdict, clock_s = judge.verdict(lost=source.lost), max(clocks, default=float("nan"))
-    return Trial(file, take, verdict, rig, lost, clock_s, heard, fingers, foot_figures(take))
+    return Trial(file, take, verdict, rig, judge.lost_frames, clock_s, heard, fingers, foot_figures(take))
 
 
 # The figures of a hand.
@@ -237,8 +228,7 @@ def report_html(trials: Sequence[Trial]) -> str:
 
 def _light(verdict: TrialVerdict) -> str:
     level = verdict.level if verdict.judged else "doubtful"
-    said = level if verdict.judged else "not judged: too short, or neither hands nor feet"
-    return f"<span class='light' style='background:{_LIGHTS[level]}'></span>{escape(said)}"
+    return f"<span class='light' style='background:{_LIGHTS[level]}'></span>{escape(verdict.text)}"
 
 
 def _overview(trials: Sequence[Trial]) -> str:
@@ -275,8 +265,6 @@ def _of_trial(number: int, trial: Trial, *, heading: bool) -> str:
         texts = (f"<li>{escape(finding.level)}: {escape(finding.text)}</li>" for finding in trial.verdict.findings)
         parts.append(f"<ul>{''.join(texts)}</ul>")
     figures = [*trial.verdict.figures]
-    for camera, (lost, frames) in trial.lost.items():
-        figures.append((f"{camera}, frames lost", _percent(lost / frames), f"{lost} of {frames}"))
     if np.isfinite(trial.clock_s):
         figures.append(("clocks", f"± {_MM * trial.clock_s:.2f} ms", "largest uncertainty of a camera's"))
     if trial.take.events:
@@ -475,5 +463,6 @@ def report(files: tuple[Path, ...], out_path: Path, rig_path: Path | None) -> in
     write_text_atomic(out_path, report_html(trials))
     worst = max((trial.verdict.exit_code for trial in trials), default=0)
     good = sum(trial.verdict.judged and trial.verdict.level == "good" for trial in trials)
-    console.print(f"{out_path}: {good} of {len(trials)} good", markup=False)
+    said = trials[0].verdict.text if len(trials) == 1 else f"{good} of {len(trials)} good"
+    console.print(f"{out_path}: {said}", markup=False)
     return worst

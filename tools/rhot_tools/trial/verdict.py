@@ -1,8 +1,9 @@
 """The verdict on a trial: can its hands and feet be used, and if not, why.
 
 It is made from the messages alone, so that `rhot process`, `rhot record` and `rhot export` say the same of the same
-trial. What it looks at: how much of what two cameras saw became a measured point, whether the hand fits its markers,
-impossible jumps, whether the cameras stand as they were calibrated, and what the services themselves complained of.
+trial. What it looks at: frames that never came, how much of what two cameras saw became a measured point, whether the
+hand fits its markers, impossible jumps, whether the cameras stand as they were calibrated, and what the services
+themselves complained of.
 """
 
 from __future__ import annotations
@@ -50,6 +51,9 @@ _TOGETHER: Final = 0.5
 _HARDLY: Final = 0.02
 """Share of a camera's frames below which a marker counts as unseen."""
 _STEP_S: Final = 0.1
+_MANY_LOST: Final = 0.2
+"""Share of a camera's frames whose loss is told: motion between them is interpolated. Chosen."""
+_TOO_SLOW: Final = "its machine is too slow or busy (`rhot status`), or the network loses them; try a lower rate_hz"
 _PROBLEM_SHARE: Final = 0.2
 """A complaint of a service counts if it stood in so many of its statuses: many pass while a rig starts."""
 
@@ -82,6 +86,11 @@ class TrialVerdict:
         return max((finding.level for finding in self.findings), key=_LEVELS.index, default="good")
 
     @property
+    def text(self) -> str:
+        """The verdict in words."""
+        return self.level if self.judged else "not judged: too short, or neither hands nor feet"
+
+    @property
     def exit_code(self) -> int:
         """1 for a trial that cannot be used."""
         return 1 if self.level == "not usable" else 0
@@ -96,8 +105,8 @@ class TrialVerdict:
             console.print(table)
         for finding in self.findings:
             console.print(Text(f"{finding.level}: {printable(finding.text, 500)}", style=_COLORS[finding.level]))
-        if self.judged:
-            console.print(Text(f"verdict: {self.level}", style=f"bold {_COLORS[self.level]}"))
+        color = _COLORS[self.level] if self.judged else ""
+        console.print(Text(f"verdict: {self.text}", style=f"bold {color}"))
 
 
 @dataclass(slots=True)
@@ -131,6 +140,8 @@ class TrialJudge:
         self._tracks = TrackGatherer(self._cameras)
         self._seen: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self._frames: Counter[str] = Counter()
+        self._numbers: dict[str, int] = {}
+        self._lost: Counter[str] = Counter()
         self._moments: defaultdict[str, set[int]] = defaultdict(set)
         self._measured: Counter[str] = Counter()
         self._sets = 0
@@ -151,6 +162,9 @@ class TrialJudge:
             self._span_ns = [min(self._span_ns[0], message.t_ns), max(self._span_ns[1], message.t_ns)]
         if isinstance(message, MarkerFrame):
             self._frames[message.camera] += 1
+            # A camera that starts again counts from 0.
+            self._lost[message.camera] += max(message.frame - self._numbers.get(message.camera, message.frame) - 1, 0)
+            self._numbers[message.camera] = message.frame
             self._moments[message.camera].add(message.t_ns // _MOMENT_NS)
             self._seen[message.camera].update(message.markers.keys())
             self._tracks.add([message])
@@ -210,6 +224,11 @@ class TrialJudge:
         if len(misses) > 1:
             kept.residuals_m.append(sum(misses) / len(misses))
 
+    @property
+    def lost_frames(self) -> dict[str, tuple[int, int]]:
+        """Camera to frames that were never looked at, and all that it took."""
+        return {camera: (self._lost[camera], n + self._lost[camera]) for camera, n in sorted(self._frames.items())}
+
     def verdict(self, problems: Mapping[str, str] | None = None, lost: Sequence[str] = ()) -> TrialVerdict:
         """Return the verdict on what was added.
 
@@ -219,8 +238,12 @@ class TrialJudge:
         """
         missing = tuple(Finding("doubtful", text) for text in lost)
         poses = {f"{side} foot": foot.stages.total() for side, foot in self._feet.items()}
-        if sum(self._frames.values()) < LEAST_FRAMES and sum(poses.values()) < LEAST_FRAMES:
-            return TrialVerdict((), missing, judged=False)
+        frames = sum(self._frames.values())
+        if frames < LEAST_FRAMES and sum(poses.values()) < LEAST_FRAMES:
+            if (taken := sum(taken for _, taken in self.lost_frames.values())) < LEAST_FRAMES:
+                return TrialVerdict((), missing, judged=False)
+            empty = Finding("not usable", f"only {frames} of {taken} frames were looked at; {_TOO_SLOW}")
+            return TrialVerdict((), (*missing, empty))
         seconds = 1e-9 * (self._span_ns[1] - self._span_ns[0])
         counted = [("frames", self._frames)] * bool(self._frames) + [("poses", poses)] * bool(poses)
         each = (f"{what}: {', '.join(f'{name} {n}' for name, n in sorted(of.items()))}" for what, of in counted)
@@ -231,6 +254,7 @@ class TrialJudge:
             told = [Finding("not usable", text) for texts in stated.values() for text in texts]
             return TrialVerdict(tuple(figures), (*missing, *told, *feet))
         times = self._judge_times()
+        slow = self._judge_lost(figures)
         coverage = self._judge_coverage(figures)
         hands = self._judge_hands(figures)
         jumps = self._judge_jumps(figures)
@@ -246,7 +270,7 @@ class TrialJudge:
         told = [Finding("not usable", text) for texts in stated.values() for text in texts]
         told += self._unseen() if hands or coverage else []
         # Causes before what follows from them.
-        return TrialVerdict(tuple(figures), (*missing, *times, *cameras, *told, *hands, *jumps, *coverage, *feet))
+        return TrialVerdict(tuple(figures), (*missing, *times, *slow, *cameras, *told, *hands, *jumps, *coverage, *feet))
 
     def _stated(self, problems: Mapping[str, str]) -> dict[str, list[str]]:
         """Return what the services complained of for long, by service."""
@@ -269,6 +293,16 @@ class TrialJudge:
                 )
                 return [Finding("not usable", text)]
         return []
+
+    def _judge_lost(self, figures: list[tuple[str, str, str]]) -> list[Finding]:
+        """Judge how many frames were never looked at."""
+        findings = []
+        for camera, (lost, taken) in self.lost_frames.items():
+            figures.append((f"{camera}, frames lost", f"{100 * lost / taken:.1f} %", f"{lost} of {taken}"))
+            if lost > _MANY_LOST * taken:
+                told = f"{100 * lost / taken:.0f} % of the frames of {camera} were not looked at; {_TOO_SLOW}"
+                findings.append(Finding("doubtful", told))
+        return findings
 
     def _unseen(self) -> list[Finding]:
         """Return which of the rig's markers hardly any picture shows, as causes of what else is wrong."""
