@@ -29,7 +29,7 @@ T = TypeVar("T")
 ENDPOINT = "tcp/127.0.0.1:7447"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class HandSample:
     """A hand at one moment; arrays as in `HandTrack`, without the time axis.
 
@@ -53,6 +53,9 @@ class HandSample:
 
     joint_names = JOINTS
     angle_names = HAND_ANGLE_NAMES
+
+    def __repr__(self) -> str:
+        return f"<HandSample {self.side}: {self.state} at {self.t_ns}>"
 
     @classmethod
     def of(cls, hand: HandPose) -> HandSample:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,11 @@ def _no_rig() -> None:
     return None
 
 
-@dataclass(frozen=True, kw_only=True)
+_MOST_HZ: Final = 100_000.0
+"""Beyond any sensor; a rate in the wrong unit would fill the memory."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Take:
     """What was tracked in one recording; lengths in metres, angles in radians, times on the rig clock.
 
@@ -57,8 +61,12 @@ class Take:
     frame: str = "rig"
     invalid: int = 0
     note: str = ""
-    _markers: Callable[[], Mapping[str, MarkerTracks]] = field(default=dict, repr=False)
-    _rig: Callable[[], Rig | None] = field(default=_no_rig, repr=False)
+    _markers: Callable[[], Mapping[str, MarkerTracks]] = dict
+    _rig: Callable[[], Rig | None] = _no_rig
+
+    def __repr__(self) -> str:
+        head = f"<Take in frame {self.frame}, {len(self.events)} events{self.note and '; '}{self.note}>"
+        return "\n  ".join([head, *map(repr, self.tracks.values())])
 
     @cached_property
     def markers(self) -> Mapping[str, MarkerTracks]:
@@ -114,10 +122,10 @@ class Take:
         """Return the take at a steady rate from its start on, with common times; see `Track.resampled` for gaps.
 
         Raises:
-            ValueError: the rate is not a positive number.
+            ValueError: the rate is not above 0 and at most 100 kHz.
         """
-        if not 0.0 < rate_hz < np.inf:
-            raise ValueError(f"rate_hz must be a positive number, got {rate_hz}")
+        if not 0.0 < rate_hz <= _MOST_HZ:
+            raise ValueError(f"rate_hz must be above 0 and at most {_MOST_HZ:g}, got {rate_hz}")
         last_ns = max((int(track.t_ns[-1]) for track in self.tracks.values() if len(track)), default=self.start_ns)
         count = int(np.floor(1e-9 * (last_ns - self.start_ns) * rate_hz + 1e-6)) + 1
         t_ns: NDArray[np.int64] = self.start_ns + np.round(1e9 / rate_hz * np.arange(count)).astype(np.int64)

@@ -53,7 +53,7 @@ def landmarks21(positions: FloatArray, orientations: FloatArray, order: str, fra
     return points
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Track:
     """One thing over T moments.
 
@@ -80,6 +80,12 @@ class Track:
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    def __repr__(self) -> str:
+        seconds = 1e-9 * float(self.t_ns[-1] - self.t_ns[0]) if len(self) else 0.0
+        state = getattr(self, "state", None)
+        measured = "" if state is None or not len(self) else f", {100 * np.mean(state == 'measured'):.0f} % measured"
+        return f"<{type(self).__name__} {self.name}: {len(self)} samples in {seconds:.1f} s{measured}>"
 
     @property
     def t(self) -> FloatArray:
@@ -159,7 +165,7 @@ def _slerp(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArr
     return np.asarray(between / np.linalg.norm(between, axis=-1, keepdims=True))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointTrack(Track):
     """A skeleton over time: a hand, or the body.
 
@@ -198,7 +204,7 @@ class JointTrack(Track):
         return self.angles[:, _index(self.angle_names, name, "angle")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HandTrack(JointTrack):
     """A hand over time; `joint_names` are the 26 of OpenXR's XR_EXT_hand_tracking, `angle_names` four a finger.
 
@@ -228,7 +234,7 @@ class HandTrack(JointTrack):
         return landmarks21(self.positions, self.orientations, order, frame)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PointTrack(Track):
     """A marker in space over time.
 
@@ -247,7 +253,7 @@ class PointTrack(Track):
     state: Words
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RigidTrack(Track):
     """An object, the head or a foot over time.
 
@@ -270,7 +276,7 @@ class RigidTrack(Track):
     shape: Any = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MarkerTracks(Track):
     """What one camera saw: M markers in T pictures.
 

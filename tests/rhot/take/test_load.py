@@ -143,6 +143,25 @@ def test_arrays_cannot_be_written(tmp_path: Path) -> None:
         take.hands["right"].positions[0] = 0.0
 
 
+def test_a_take_prints_as_a_summary_and_compares(tmp_path: Path) -> None:
+    file = write_mcap(tmp_path / "take.mcap", session())
+    take, again = rhot.load(file), rhot.load(file)
+    lines = repr(take).splitlines()
+    assert lines[0] == f"<Take in frame rig, {len(take.events)} events>"
+    assert lines[1].startswith("  <HandTrack hand/right: 40 samples in 0.3 s, ")
+    assert len(lines) == 1 + len(take.tracks)
+    assert repr(take.hands["right"]) in repr(take)
+    assert len({take, again, take}) == 2
+    assert take.hands["right"] != again.hands["right"]
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, -1.0, float("nan"), float("inf"), 1e9])
+def test_a_rate_that_no_sensor_has_is_refused(tmp_path: Path, rate_hz: float) -> None:
+    take = rhot.load(write_mcap(tmp_path / "take.mcap", session()))
+    with pytest.raises(ValueError, match="rate_hz must be above 0 and at most 100000, got"):
+        take.resampled(rate_hz)
+
+
 def test_a_take_comes_from_another_process_as_it_was(tmp_path: Path) -> None:
     file = tmp_path / "a.mcap"
     write_mcap(file, session())
