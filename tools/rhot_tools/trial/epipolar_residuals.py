@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhot.arrays import FloatArray
-from rhot.geometry.camera import CameraModel, essential_matrix
+from rhot.geometry.camera import CameraModel, essential_matrix, rays_meet_ahead
 from rhot.messages import MarkerFrame
 
 # Whole tracks of markers per camera, gathered from marker frames.
@@ -86,6 +87,9 @@ class TrackGatherer:
 
 PRIOR_SD_RAD = np.radians(2.0)
 """Prior of the rotation: a bump turns a camera by a few degrees at most."""
+_BEHIND: Final = 0.5
+_SWAP_RATIO: Final = 0.5
+"""Cameras are swapped if exchanging them puts most points before them, or leaves less than half the residual."""
 LEAST_OBSERVATIONS = 50
 """Minimum number of observations to estimate three angles: nearly two seconds of one marker at 30 Hz. Chosen."""
 _CHANGE_BLOCK_S = 0.25
@@ -363,3 +367,52 @@ def _weights_about_blocks(residual_px: FloatArray, blocks: NDArray[np.intp], cou
 
 def _directions(xy: FloatArray) -> FloatArray:
     return np.column_stack([xy, np.ones(len(xy))])
+
+
+# Cameras whose names or plugs were exchanged.
+
+
+def are_swapped(
+    first: str, second: str, tracks: Tracks, cameras: dict[str, CameraModel], periods_s: dict[str, float]
+) -> bool:
+    """Return whether two cameras' views fit far better when they are exchanged.
+
+    Either their rays then meet in front of the cameras and not behind, or on their epipolar lines and not beside.
+    """
+    usual = _pair_fit(first, second, tracks, cameras, periods_s)
+    exchanged = {first: _renormalised(tracks[second], cameras[second], cameras[first])}
+    exchanged[second] = _renormalised(tracks[first], cameras[first], cameras[second])
+    periods = {first: periods_s[second], second: periods_s[first]}
+    other = _pair_fit(first, second, exchanged, cameras, periods)
+    if usual is None or other is None:
+        return False
+    (residual_px, ahead), (other_px, other_ahead) = usual, other
+    limit_px = 2.0
+    if ahead < _BEHIND < other_ahead and other_px < residual_px + limit_px:
+        return True
+    return residual_px > limit_px and other_px < _SWAP_RATIO * residual_px and other_ahead > _BEHIND
+
+
+def _renormalised(tracks: Mapping[str, PixelTrack], taken: CameraModel, belongs: CameraModel) -> dict[str, PixelTrack]:
+    """Return tracks that were undistorted with one camera's lens as if by that of the camera that they belong to."""
+    at_unit = CameraModel.from_arrays(taken.width, taken.height, taken.K, taken.distortion, np.eye(4))
+    return {
+        name: PixelTrack(
+            track.t_s, belongs.undistort(at_unit.project(np.column_stack([track.xy, np.ones(len(track.xy))])))
+        )
+        for name, track in tracks.items()
+    }
+
+
+def _pair_fit(
+    first: str, second: str, tracks: Tracks, cameras: dict[str, CameraModel], periods_s: dict[str, float]
+) -> tuple[float, float] | None:
+    """Return the median epipolar residual, pixels, and the share of views whose rays meet in front of both cameras.
+
+    None with too few common views.
+    """
+    pair = pair_residuals(first, second, tracks, cameras, periods_s)
+    if len(pair.t_s) < LEAST_OBSERVATIONS:
+        return None
+    ahead = rays_meet_ahead(cameras[first], cameras[second], pair.xy_first, pair.xy)
+    return float(np.median(np.abs(pair.residual_px))), float(np.mean(ahead))

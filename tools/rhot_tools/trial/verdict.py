@@ -20,7 +20,6 @@ from rich.text import Text
 
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
-from rhot.geometry.camera import CameraModel, rays_meet_ahead
 from rhot.messages import FootPose, HandPose, MarkerFrame, Message, PointSet, ServiceStatus
 from rhot.recording.messages import RecordedMessages
 from rhot.report.html import figures_table
@@ -28,7 +27,7 @@ from rhot.rig import Rig
 from rhot.rig.cameras import camera_models
 from rhot.text import printable
 from rhot_tools.trial.calibration_check import CalibrationReport, judge_calibration
-from rhot_tools.trial.epipolar_residuals import LEAST_OBSERVATIONS, PixelTrack, TrackGatherer, Tracks, pair_residuals
+from rhot_tools.trial.epipolar_residuals import TrackGatherer, are_swapped
 
 Level = Literal["good", "doubtful", "not usable"]
 _LEVELS: Final = ("good", "doubtful", "not usable")
@@ -42,9 +41,6 @@ two feet, at 60 Hz. Chosen.
 """
 _JUMP_M_S: Final = 8.0
 """Speed of a measured point between two samples; a fingertip in a fast tap reaches 3 m/s."""
-_BEHIND: Final = 0.5
-_SWAP_RATIO: Final = 0.5
-"""Cameras are swapped if exchanging them puts most points before them, or leaves less than half the residual."""
 _MOMENT_NS: Final = 100_000_000
 _TOGETHER: Final = 0.5
 """Share of these moments that a camera has in common with another one; below it, the times of one are wrong."""
@@ -270,7 +266,9 @@ class TrialJudge:
         told = [Finding("not usable", text) for texts in stated.values() for text in texts]
         told += self._unseen() if hands or coverage else []
         # Causes before what follows from them.
-        return TrialVerdict(tuple(figures), (*missing, *times, *slow, *cameras, *told, *hands, *jumps, *coverage, *feet))
+        return TrialVerdict(
+            tuple(figures), (*missing, *times, *slow, *cameras, *told, *hands, *jumps, *coverage, *feet)
+        )
 
     def _stated(self, problems: Mapping[str, str]) -> dict[str, list[str]]:
         """Return what the services complained of for long, by service."""
@@ -406,7 +404,7 @@ class TrialJudge:
                 "rig.toml",
             )
             for first, second in combinations(self._cameras, 2)
-            if _swapped(first, second, tracks, self._cameras, periods_s)
+            if are_swapped(first, second, tracks, self._cameras, periods_s)
         ]
         if not rig.calibrated:
             figures.append(("cameras", "–", "not calibrated: taken as parallel, as rig.toml places them"))
@@ -455,52 +453,6 @@ def _fingers_by_marker(rig: Rig) -> dict[str, dict[str, str]]:
         if marker.joint.endswith("_tip"):
             found.setdefault(marker.hand, {})[marker.joint.removesuffix("_tip")] = name
     return found
-
-
-def _swapped(
-    first: str, second: str, tracks: Tracks, cameras: dict[str, CameraModel], periods_s: dict[str, float]
-) -> bool:
-    """Return whether two cameras' views fit far better when they are exchanged.
-
-    Either their rays then meet in front of the cameras and not behind, or on their epipolar lines and not beside.
-    """
-    usual = _pair_fit(first, second, tracks, cameras, periods_s)
-    exchanged = {first: _renormalised(tracks[second], cameras[second], cameras[first])}
-    exchanged[second] = _renormalised(tracks[first], cameras[first], cameras[second])
-    periods = {first: periods_s[second], second: periods_s[first]}
-    other = _pair_fit(first, second, exchanged, cameras, periods)
-    if usual is None or other is None:
-        return False
-    (residual_px, ahead), (other_px, other_ahead) = usual, other
-    limit_px = 2.0
-    if ahead < _BEHIND < other_ahead and other_px < residual_px + limit_px:
-        return True
-    return residual_px > limit_px and other_px < _SWAP_RATIO * residual_px and other_ahead > _BEHIND
-
-
-def _renormalised(tracks: Mapping[str, PixelTrack], taken: CameraModel, belongs: CameraModel) -> dict[str, PixelTrack]:
-    """Return tracks that were undistorted with one camera's lens as if by that of the camera that they belong to."""
-    at_unit = CameraModel.from_arrays(taken.width, taken.height, taken.K, taken.distortion, np.eye(4))
-    return {
-        name: PixelTrack(
-            track.t_s, belongs.undistort(at_unit.project(np.column_stack([track.xy, np.ones(len(track.xy))])))
-        )
-        for name, track in tracks.items()
-    }
-
-
-def _pair_fit(
-    first: str, second: str, tracks: Tracks, cameras: dict[str, CameraModel], periods_s: dict[str, float]
-) -> tuple[float, float] | None:
-    """Return the median epipolar residual, pixels, and the share of views whose rays meet in front of both cameras.
-
-    None with too few common views.
-    """
-    pair = pair_residuals(first, second, tracks, cameras, periods_s)
-    if len(pair.t_s) < LEAST_OBSERVATIONS:
-        return None
-    ahead = rays_meet_ahead(cameras[first], cameras[second], pair.xy_first, pair.xy)
-    return float(np.median(np.abs(pair.residual_px))), float(np.mean(ahead))
 
 
 def judged_recording(parts: Sequence[RecordedMessages], rig: Rig | None) -> TrialVerdict:
