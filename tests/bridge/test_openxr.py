@@ -157,7 +157,7 @@ def test_what_is_no_file_of_ours_is_named(tmp_path: Path, monkeypatch: pytest.Mo
     assert not (tmp_path / "elsewhere").exists(), "a link in a folder that all may write to leads anywhere"
 
 
-@pytest.mark.parametrize("rate_hz", [30.0, 60.0, 200.0])
+@pytest.mark.parametrize("rate_hz", [15.0, 30.0, 60.0, 200.0])
 def test_velocities_are_those_of_the_hand(rate_hz: float) -> None:
     speed, spin = np.array([0.3, -1.0, 2.0]), np.array([1.0, -4.0, 2.0])
     motion = Motion()

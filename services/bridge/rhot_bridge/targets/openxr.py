@@ -141,7 +141,8 @@ class HandsMemory:
 
 WINDOW_NS: Final = 60_000_000
 """Samples of this long make a velocity. 30 ms ahead, the simulated hand is then off by 0.74 mm (p95 4.2) in motion,
-1.53 (6.4) without a velocity; at rest by 0.50 and 0.35. 40 ms gives 0.85 (4.1) and 0.58, 100 ms 0.70 (4.9), 0.43"""
+1.53 (6.4) without a velocity; at rest by 0.50 and 0.35. 40 ms gives 0.85 (4.1) and 0.58, 100 ms 0.70 (4.9), 0.43.
+Where samples are rarer, as from cameras at 15 Hz that expose together, two make one, at most twice as far apart."""
 
 LEAST_NS: Final = 30_000_000
 """A shorter window counts as this long: a point that has just been found again is noisy. Recorded hands, 30 ms ahead,
@@ -171,7 +172,7 @@ class Motion:
         if samples:
             self._since_ns[hand.measured & ~samples[-1].measured] = hand.t_ns
         samples.append(hand)
-        while hand.t_ns - samples[0].t_ns > WINDOW_NS:
+        while hand.t_ns - samples[0].t_ns > (WINDOW_NS if len(samples) > 2 else 2 * WINDOW_NS):
             samples.popleft()
         times_ns, joints = np.array([sample.t_ns for sample in samples]), np.arange(len(JOINTS))
         first = np.searchsorted(times_ns, self._since_ns)
