@@ -88,3 +88,18 @@ async def test_who_only_looks_marks_nothing(page: Page, router: BusConfig) -> No
     assert events == []
     assert marks._pressed.empty()
     assert page.guard.refused["message"] == 5
+
+
+async def test_a_key_that_is_held_does_not_mark_again_and_again(page: Page) -> None:
+    marks = Marks(page)
+    marks.build(page.server.gui)
+    pressed, other = marks._key(1), marks._key(2)
+    repeats_ms = [500 + 33 * number for number in range(60)]
+    for ms in (0, *repeats_ms, 2700):
+        pressed(None, 10**18 + ms * 10**6)
+    other(None, 10**18 + 2701 * 10**6)
+    times_ms = []
+    while not marks._pressed.empty():
+        label, at_ns = marks._pressed.get_nowait()
+        times_ms.append(((at_ns - 10**18) // 10**6, label))
+    assert times_ms == [(0, "grasp"), (500, "grasp"), (2700, "grasp"), (2701, "release")]

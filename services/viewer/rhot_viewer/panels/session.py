@@ -120,6 +120,8 @@ _LATE_S: Final = 0.15
 """Between the press of a key and its message here, at most, seconds: of 40 in a Chromium that drew without a GPU, the
 median was 0.045 and the last 0.12. viser sends no time of its own.
 """
+_HELD_NS: Final = 100_000_000
+"""A key that is held repeats 15 to 60 times a second; nobody presses one again so soon."""
 
 
 class Marks:
@@ -170,9 +172,12 @@ class Marks:
         self._pressed.put_nowait((event.target.value, at_ns))
 
     def _key(self, number: int) -> Callable[[object, int], None]:
+        last_ns = 0
+
         def pressed(_: object, at_ns: int) -> None:
-            labels = self._buttons.options
-            if number < len(labels):
+            nonlocal last_ns
+            labels, before_ns, last_ns = self._buttons.options, last_ns, at_ns
+            if number < len(labels) and at_ns - before_ns > _HELD_NS:
                 self._pressed.put_nowait((labels[number], at_ns))
 
         return pressed
