@@ -63,9 +63,10 @@ def test_nwb_is_read_by_pynwb(recording: Path, take: Take, tmp_path: Path) -> No
                 np.testing.assert_array_equal(series.data[:], hand.positions[:, index])
                 np.testing.assert_array_equal(series.timestamps[:], hand.t)
             np.testing.assert_array_equal(behavior[f"hand_{side}_angles"].data[:], hand.angles)
-        events = nwb.acquisition["events"]
-        assert list(events.data[:]) == ["go", "stop"]
-        np.testing.assert_allclose(events.timestamps[:], [1e-9 * (e.t_ns - take.start_ns) for e in take.events])
+        events = nwb.get_events_table("events").to_dataframe()
+        assert list(events.annotation) == ["go", "stop"]
+        assert list(events.source) == [event.source for event in take.events]
+        np.testing.assert_allclose(events.timestamp, [1e-9 * (e.t_ns - take.start_ns) for e in take.events])
 
 
 def test_bids_has_the_numbers(recording: Path, take: Take, tmp_path: Path) -> None:

@@ -93,12 +93,15 @@ def write_nwb(file: Path, take: Take, name: str, subject: str) -> int:
                     )
                 )  # fmt: skip
     if take.events:
-        times = [1e-9 * (event.t_ns - take.start_ns) for event in take.events]
-        labels = [event.label for event in take.events]
-        annotations = importlib.import_module("pynwb.misc").AnnotationSeries(
-            name="events", data=labels, timestamps=times, description="marked moments"
-        )
-        nwb.add_acquisition(annotations)
+        table = nwb.create_events_table(name="events", description="marked moments; NaN = uncertainty unknown")
+        table.add_column("source", "what marked the moment")
+        table.add_column("uncertainty", "of the time, seconds")
+        for event in take.events:
+            doubt_s = np.nan if event.uncertainty_s is None else event.uncertainty_s
+            table.add_row(
+                timestamp=1e-9 * (event.t_ns - take.start_ns), annotation=event.label,
+                source=event.source, uncertainty=doubt_s,
+            )  # fmt: skip
     h5py = importlib.import_module("h5py")
     with replacing(file) as part, h5py.File(part, "w") as opened, pynwb.NWBHDF5IO(file=opened, mode="w") as out:
         out.write(nwb)
