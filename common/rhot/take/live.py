@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
@@ -13,12 +14,14 @@ from pathlib import Path
 from typing import Any, Final, Generic, Self, TypeVar
 
 import numpy as np
+from pydantic import ValidationError
 
 from rhot.anatomy.skeleton import HAND_ANGLE_NAMES, HAND_ANGLES, JOINTS
 from rhot.arrays import FloatArray
 from rhot.bus import CONNECT_S, Bus
 from rhot.errors import BusError, ConfigError
-from rhot.messages import Event, HandPose, Message, ObjectPose, PointSet
+from rhot.messages import Event, HandPose, Message, ObjectPose, PointSet, first_problem
+from rhot.messages.base import NAME_PATTERN
 from rhot.operation.control import mark
 from rhot.recording.mcap.wire_models import model_of_key
 from rhot.rig import BusConfig
@@ -110,6 +113,7 @@ class Stream(Generic[T]):
                 self._rig.wait(values.aclose)  # type: ignore[attr-defined]
 
 
+_CANCELLED_S: Final = 1.0
 _NOT_OPEN: Final = "the rig is not connected; use `with rhot.connect() as rig:`"
 
 
@@ -153,7 +157,13 @@ class LiveRig:
         return Stream(self, "rhot/points", PointSet, lambda points: points)
 
     def objects(self, name: str) -> Stream[ObjectPose]:
-        """Return the poses of an object as they arrive."""
+        """Return the poses of an object as they arrive.
+
+        Raises:
+            ValueError: no object can have that name.
+        """
+        if not re.fullmatch(NAME_PATTERN, name):
+            raise ValueError(f"object {name!r}: one name, as in rig.toml")
         return Stream(self, f"rhot/object/{name}", ObjectPose, lambda pose: pose)
 
     def messages(self, key: str) -> Stream[Message]:
@@ -178,9 +188,13 @@ class LiveRig:
 
         Raises:
             BusError: no service answers for rig time.
+            ValueError: the label is no text of at most 64 characters.
         """
         at_ns = time.time_ns() if at_ns is None else at_ns
-        return self.wait(lambda: mark(self.bus, label, "program", at_ns=at_ns))
+        try:
+            return self.wait(lambda: mark(self.bus, label, "program", at_ns=at_ns))
+        except ValidationError as error:
+            raise ValueError(first_problem(error)) from None
 
     async def __aenter__(self) -> Self:
         """Connect.
@@ -204,11 +218,22 @@ class LiveRig:
                 raise BusError(_NOT_OPEN)
             raise BusError("connected with `async with`: read with `async for`")
 
+        ended = threading.Event()
+
         async def awaited() -> T:
-            return await work()
+            try:
+                return await work()
+            finally:
+                ended.set()
 
         future: Future[T] = asyncio.run_coroutine_threadsafe(awaited(), self._loop)
-        return future.result()
+        try:
+            return future.result()
+        except KeyboardInterrupt:
+            # What nobody waits for any more must have ended before its stream can be closed.
+            future.cancel()
+            ended.wait(_CANCELLED_S)
+            raise
 
     def __enter__(self) -> Self:
         """Connect, with a thread of its own that listens.

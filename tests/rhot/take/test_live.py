@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import signal
+import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -95,5 +99,30 @@ def test_what_can_never_come_is_not_waited_for() -> None:
     rig = rhot.connect("tcp/127.0.0.1:1")
     with pytest.raises(ValueError, match="'middle': choose left or right"):
         rig.hands("middle")
+    with pytest.raises(ValueError, match=r"'\*': one name, as in rig\.toml"):
+        rig.objects("*")
     with pytest.raises(BusError, match=r"use `with rhot\.connect"):
         next(iter(rig.hands("right")))
+
+
+def test_ctrl_c_ends_a_loop_that_waits(router: BusConfig, endpoint: str) -> None:
+    program = """
+import signal, sys, rhot
+signal.signal(signal.SIGINT, signal.default_int_handler)
+try:
+    with rhot.connect(sys.argv[1]) as rig:
+        stream = iter(rig.hands("left"))
+        print("waiting", flush=True)
+        next(stream)
+except KeyboardInterrupt:
+    print("ended")
+"""
+    child = subprocess.Popen([sys.executable, "-c", program, endpoint], stdout=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "waiting\n"
+        time.sleep(0.3)
+        child.send_signal(signal.SIGINT)
+        assert child.communicate(timeout=30.0)[0] == "ended\n"
+    finally:
+        child.kill()
