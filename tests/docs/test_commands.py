@@ -36,11 +36,3 @@ def test_every_command_and_option_exists(page: str) -> None:
         known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
         asked = {word.partition("=")[0] for word in words if word.startswith("--")}
         assert asked <= known | {"--help", "--version"}, f"{line}: {command.name} has no {asked - known}"
-
-
-def test_the_reader_in_the_readme_imports_what_is_there() -> None:
-    source = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)[0]
-    compile(source, "README.md", "exec")
-    names: dict[str, object] = {}
-    exec("\n".join(line for line in source.splitlines() if line.startswith(("import ", "from "))), names)
-    assert {"Bus", "HandPose", "BusConfig"} <= set(names)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -80,6 +82,21 @@ async def test_a_slow_reader_gets_the_newest(router: BusConfig) -> None:
         points.put(point_set(last_ns))
         sent.set()
         assert await reading == last_ns
+
+
+def test_the_reader_in_the_readme_prints_poses(endpoint: str) -> None:
+    text = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
+    source = re.findall(r"```python\n(.*?)```", text, re.DOTALL)[0]
+    assert "tcp/127.0.0.1:7447" in source
+    program = source.replace("tcp/127.0.0.1:7447", endpoint)
+    with publishing(endpoint):
+        reader = subprocess.Popen([sys.executable, "-u", "-c", program], stdout=subprocess.PIPE, text=True)
+        try:
+            assert reader.stdout is not None
+            assert re.fullmatch(r"\[[-0-9. e]+\] measured\n", reader.stdout.readline())
+        finally:
+            reader.kill()
+            reader.wait()
 
 
 def test_no_rig_is_one_clear_error(endpoint: str) -> None:
