@@ -263,6 +263,8 @@ def test_several_recordings_go_into_a_folder_one_on_each_core(session: Path, tmp
         np.testing.assert_array_equal(take.hands["right"].positions, live.positions)
     clash = CliRunner().invoke(process, [str(session), str(session), "--out", str(out)])
     assert "would be written twice" in str(clash.exception)
+    one_file = CliRunner().invoke(process, [str(session), str(second), "--out", str(tmp_path / "both.mcap")])
+    assert "several recordings need a folder" in str(one_file.exception)
     itself = CliRunner().invoke(process, [str(second), str(session), "--out", str(tmp_path)])
     assert "is the recording itself" in str(itself.exception)
 

@@ -190,6 +190,16 @@ def test_it_asks_for_something_to_write(tmp_path: Path) -> None:
     assert "--csv" in result.output
 
 
+def test_a_gltf_file_is_one_of_two_kinds(tmp_path: Path) -> None:
+    recording = as_lines(tmp_path / "x")
+    for name, begins in (("x.GLB", b"glTF"), ("x.gltf", b"{")):
+        done = CliRunner().invoke(export, [str(recording), "--gltf", str(tmp_path / name)])
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / name).read_bytes().startswith(begins)
+    wrong = CliRunner().invoke(export, [str(recording), "--gltf", str(tmp_path / "x.obj")])
+    assert "its name ends in .glb (binary) or .gltf (text)" in str(wrong.exception)
+
+
 HOSTILE = (
     "rhot/hand/\0",
     "rhot/hand/\x1b[2J",

@@ -129,7 +129,7 @@ def write_motion_files(
     if targets.gltf is not None:
         document = gltf_document(every, "stage" if in_stage else "rig")
         with replacing(targets.gltf) as part:
-            part.write_bytes(document.binary() if targets.gltf.suffix == ".glb" else document.text().encode())
+            part.write_bytes(document.binary() if targets.gltf.suffix.lower() == ".glb" else document.text().encode())
         click.echo(f"{targets.gltf}: {', '.join(motion.name for motion in every)}, metres")
     if not any(file is not None for file in lab[:3]):
         return
@@ -357,6 +357,8 @@ def export(
             "say what to write: --csv, --parquet, --gltf, --bvh, --trc, --mot, --osim, --c3d, --nwb, --bids, --mat, "
             "--netcdf, --isaac, --foxglove or --rerun"
         )
+    if gltf is not None and gltf.suffix.lower() not in (".glb", ".gltf"):
+        raise ConfigError(f"--gltf {gltf}: its name ends in .glb (binary) or .gltf (text)")
     if len(files) > 1 and not join:
         raise click.UsageError("several files: --join makes one of the parts of a recording; export others one by one")
     parts = joined_parts(files) if join else [RecordedMessages(files[0])]

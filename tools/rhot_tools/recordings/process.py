@@ -204,7 +204,8 @@ def process(
     if wrong:
         raise ConfigError(f"--only {wrong[0]}: keys begin with rhot/, such as rhot/hand")
     several = len(recordings) > 1
-    if several and (out_path.is_file() or str(out_path) == "-"):
+    is_file = out_path.is_file() or (out_path.suffix in (".mcap", ".jsonl") and not out_path.is_dir())
+    if several and (is_file or str(out_path) == "-"):
         raise ConfigError(f"--out {out_path}: several recordings need a folder")
     if not several and out_path.is_dir():
         several = True
