@@ -27,6 +27,8 @@ _WITH_PORT: Final = ("tcp", "udp", "tls", "quic", "ws")
 class Finite(click.types.FloatParamType):
     """A number. Unlike click's own type, it rejects `nan` and `inf`."""
 
+    name = "number"
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number."""
         number: float = super().convert(value, param, ctx)
@@ -37,6 +39,8 @@ class Finite(click.types.FloatParamType):
 
 class FiniteRange(Finite, click.FloatRange):
     """A number between two bounds. Between click's own bounds is `nan`, too, because no comparison rejects it."""
+
+    name = "number"
 
 
 def rig_folder_option(about: str, **settings: Any) -> Callable[[F], F]:
