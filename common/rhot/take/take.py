@@ -27,8 +27,22 @@ def _no_rig() -> None:
     return None
 
 
-_MOST_HZ: Final = 100_000.0
-"""Beyond any sensor; a rate in the wrong unit would fill the memory."""
+_MOST_SAMPLES: Final = 5_000_000
+"""At a steady rate: a day at 60 Hz, more than an hour at 1 kHz."""
+
+
+def require_few(count: int, span_s: float, rate_hz: float) -> None:
+    """Refuse more samples at a steady rate than the memory holds, as where one has a time of another year.
+
+    Raises:
+        ConfigError: there would be.
+    """
+    if count > _MOST_SAMPLES:
+        raise ConfigError(
+            f"the poses lie {span_s / 3600:.1f} h apart, {count} frames at {rate_hz:.1f} Hz; {_MOST_SAMPLES} are the "
+            "most. Was the clock set meanwhile, or does a stranger publish on the bus? `rhot export --csv` shows every "
+            "time"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -122,12 +136,15 @@ class Take:
         """Return the take at a steady rate from its start on, with common times; see `Track.resampled` for gaps.
 
         Raises:
-            ValueError: the rate is not above 0 and at most 100 kHz.
+            ValueError: the rate is not a positive number.
+            ConfigError: there would be more than five million samples.
         """
-        if not 0.0 < rate_hz <= _MOST_HZ:
-            raise ValueError(f"rate_hz must be above 0 and at most {_MOST_HZ:g}, got {rate_hz}")
+        if not 0.0 < rate_hz < np.inf:
+            raise ValueError(f"rate_hz must be a positive number, got {rate_hz}")
         last_ns = max((int(track.t_ns[-1]) for track in self.tracks.values() if len(track)), default=self.start_ns)
-        count = int(np.floor(1e-9 * (last_ns - self.start_ns) * rate_hz + 1e-6)) + 1
+        span_s = 1e-9 * (last_ns - self.start_ns)
+        count = int(span_s * rate_hz + 1e-6) + 1
+        require_few(count, span_s, rate_hz)
         t_ns: NDArray[np.int64] = self.start_ns + np.round(1e9 / rate_hz * np.arange(count)).astype(np.int64)
         return self._with(lambda track: track.resampled(t_ns))
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hand_messages import object_pose
 
 import rhot
 from rhot.messages import Event, encode, encoding_of
@@ -128,6 +129,17 @@ def test_an_empty_recording_has_nothing_for_archives(tmp_path: Path, option: str
     file.write_text("")
     done = CliRunner().invoke(export, [str(file), option, str(tmp_path / "x")])
     assert f"{option}: the recording holds no hand, point, object, foot or body" in str(done.exception)
+
+
+def test_a_time_of_another_year_is_told_instead_of_filling_the_memory(tmp_path: Path) -> None:
+    file = tmp_path / "late.mcap"
+    with McapWriter(file, now_ns=0) as writer:
+        for t_ns in (10**18, 10**18 + 30_000_000_000_000_000):
+            pose = object_pose(t_ns, 0.1)
+            writer.write("rhot/object/cup", encoding_of(type(pose)), encode(pose), t_ns, 0, t_ns)
+    done = CliRunner().invoke(export, [str(file), "--bids", str(tmp_path / "d"), "--fps", "50"])
+    assert "8333.3 h apart, 1500000001 frames at 50.0 Hz; 5000000 are the most" in str(done.exception)
+    assert not (tmp_path / "d").exists()
 
 
 def test_c3d_has_the_events(recording: Path, take: Take, tmp_path: Path) -> None:

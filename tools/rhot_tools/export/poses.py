@@ -16,11 +16,10 @@ from rhot.geometry.rotations import rotation_from_quaternion
 from rhot.messages import BodyPose, FootPose, HandPose, Message, ObjectPose, Side
 from rhot.messages.base import Pose
 from rhot.messages.tracked import ObjectShape
+from rhot.take.take import require_few
 
 HAND_PARENTS: Final = tuple(-1 if (parent := PARENTS[name]) is None else JOINTS.index(parent) for name in JOINTS)
 """(26,) index in `JOINTS` of each joint's parent, −1 for the wrist."""
-_MOST_FRAMES: Final = 5_000_000
-"""Of a file with a steady rate: a day at 60 Hz."""
 _LIMB_RADIUS_M: Final = 0.03
 """Of a body's joints where they are drawn; their messages carry none."""
 
@@ -145,12 +144,7 @@ def frame_times_s(end_s: float, rate_hz: float) -> FloatArray:
     # Share of a frame by which the last one may lie behind the last pose: times are rounded to nanoseconds, which
     # adds up to 0.007 frames in an hour at 60 Hz.
     count = int(end_s * rate_hz + 0.01) + 1
-    if count > _MOST_FRAMES:
-        raise ConfigError(
-            f"the poses lie {end_s / 3600:.1f} h apart, {count} frames at {rate_hz:.1f} Hz; {_MOST_FRAMES} are the "
-            "most. Was the clock set meanwhile, or does a stranger publish on the bus? `rhot export --csv` shows every "
-            "time"
-        )
+    require_few(count, end_s, rate_hz)
     times: FloatArray = np.minimum(np.arange(count) / rate_hz, end_s)
     return times
 
