@@ -97,7 +97,12 @@ class Track:
 
         Numbers are interpolated linearly and quaternions on the sphere, between samples at most 0.1 s apart; elsewhere
         they are NaN. Words are those of the nearer sample.
+
+        Raises:
+            ValueError: these are no such moments; `Take.resampled` takes a rate.
         """
+        if np.ndim(t_ns) != 1 or np.asarray(t_ns).dtype.kind != "i" or not (np.diff(t_ns) > 0).all():
+            raise ValueError("t_ns must be nanoseconds (N,), whole numbers that increase; Take.resampled takes a rate")
         if not len(self):
             return self
         after = np.clip(np.searchsorted(self.t_ns, t_ns), 1, max(len(self) - 1, 1))

@@ -225,6 +225,13 @@ def test_resampling_goes_through_the_samples_and_leaves_gaps(tmp_path: Path) -> 
     np.testing.assert_allclose(np.linalg.norm(hand.orientations[1], axis=-1), 1.0)
 
 
+@pytest.mark.parametrize("t_ns", [100.0, np.array([0.1, 0.2]), np.array([2, 1]), np.array([[1, 2]])])
+def test_a_track_is_resampled_at_moments_alone(tmp_path: Path, t_ns: Any) -> None:
+    hand = rhot.load(write_mcap(tmp_path / "take.mcap", session())).hands["right"]
+    with pytest.raises(ValueError, match=r"whole numbers that increase; Take\.resampled takes a rate"):
+        hand.resampled(t_ns)
+
+
 def test_tables_of_pandas_and_xarray(tmp_path: Path) -> None:
     take = rhot.load(write_mcap(tmp_path / "take.mcap", session()))
     frame = take.to_dataframe("hand/right")

@@ -449,10 +449,7 @@ def _incomplete(path: Path, scan: _Scan, lost: int) -> str:
             f"{path}: damaged at byte {scan.end}: it opens up to there, the {lost} bytes after that are lost; copy it "
             "again from where it was recorded"
         )
-    return (
-        f"{path} was cut off: it opens up to its last complete chunk; {lost} bytes after that, at most about a second, "
-        "are lost"
-    )
+    return f"{path} was cut off: it opens up to its last complete chunk; the {lost} bytes after that are lost"
 
 
 def _damaged(path: Path, span: _ChunkSpan, why: str) -> _DamagedError:
