@@ -131,18 +131,7 @@ def prepare_rig(data: Path, folder: Path, measures: Measures | None = None) -> R
     measures = measures or Measures.of(data)
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / RIG_FILE).exists():
-        timing = load_recording(data / SEQUENCES[0]).cameras[CAMERAS[0]].timing
-        text = rig_template(
-            folder=str(folder),
-            name="rendered",
-            exposure_s=timing.exposure_s,
-            readout_s=timing.readout_s,
-            sides=(measures.side,),
-        )
-        write_text_atomic(folder / RIG_FILE, text)
-        down, across = read_picture(min((data / COLOURS / CAMERAS[0]).glob("*.jpg"))).shape[:2]
-        change_rig_file(folder, {("markers", "base"): {"size_m": list(measures.patch_m)}})
-        change_rig_file(folder, {("cameras", camera): {"width": across, "height": down} for camera in CAMERAS})
+        write_rig(data, folder, measures)
     columns, rows = measures.board
     if not (folder / CAMERAS_FILE).exists():
         square = f"{1e3 * measures.square_m:g}"
@@ -153,6 +142,26 @@ def prepare_rig(data: Path, folder: Path, measures: Measures | None = None) -> R
         length, width = f"{1e3 * measures.length_m:g}", f"{1e3 * measures.width_m:g}"
         _calibrate(folder, "hand", "--length-mm", length, "--width-mm", width)
     return load_rig(folder)
+
+
+def write_rig(data: Path, folder: Path, measures: Measures) -> None:
+    """Write `rig.toml` as a person would who set the cameras up and measured the patch."""
+    timing = load_recording(data / SEQUENCES[0]).cameras[CAMERAS[0]].timing
+    text = rig_template(
+        folder=str(folder),
+        name="rendered",
+        exposure_s=timing.exposure_s,
+        readout_s=timing.readout_s,
+        sides=(measures.side,),
+    )
+    write_text_atomic(folder / RIG_FILE, text)
+    down, across = read_picture(min((data / COLOURS / CAMERAS[0]).glob("*.jpg"))).shape[:2]
+    change_rig_file(folder, {("markers", "base"): {"size_m": list(measures.patch_m)}})
+    change_rig_file(folder, {("cameras", camera): {"width": across, "height": down} for camera in CAMERAS})
+    centre = json.loads((data / "calib.json").read_text(encoding="utf-8"))["right_camera_centre_in_left_frame"]
+    if centre[0] < 0.0:
+        # Of a mirrored copy; on which side a camera stands, everybody sees.
+        change_rig_file(folder, {("cameras", CAMERAS[1]): {"position_m": [-0.1, 0.0, 0.0]}})
 
 
 def at_rate_of(rig: Rig, recording: Recording) -> Rig:

@@ -11,7 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from rhot.rig import load_rig
 from rhot_bench.pictures.command import CHANGES, changed_copy
+from rhot_bench.pictures.rendered import Measures, write_rig
 
 CALIBRATION = {
     "image_size": [640, 480],
@@ -55,7 +57,8 @@ def data(tmp_path: Path) -> Path:
                 cv2.imwrite(str(pictures / f"{frame:06d}.jpg"), image)
                 rows.append([camera, frame, "index", 1000 + frame, u, v, *POINT, 1.0, 100.0, u, v])
             (pictures / "timestamps.csv").write_text("frame,t_ns\n0,1000\n1,1001\n")
-        (folder / sequence / "recording.toml").write_text("version = 1\n")
+        timing = "".join(f"[cameras.{name}]\nexposure_s = 0.005\nreadout_s = 0.014\n" for name in ("left", "right"))
+        (folder / sequence / "recording.toml").write_text("version = 1\n" + timing)
         with (folder / sequence / "truth_frames.csv").open("w") as file:
             head = ["cam", "frame", "marker", "t_ns", "u", "v", "x", "y", "z", "visible_frac", "visible_px"]
             csv.writer(file).writerows([[*head, "vis_u", "vis_v"], *rows])
@@ -101,6 +104,13 @@ def test_a_mirrored_world_is_mirrored_everywhere(data: Path, tmp_path: Path) -> 
     left, top, right, bottom = json.loads((copy / "K" / "boxes.json").read_text())["cameras"]["left"]["index"]["box"]
     u, v = projected(CALIBRATION, "left", POINT)
     assert [left, top, right, bottom] == pytest.approx([640 - u - 3.5, v - 2.5, 640 - u + 4.5, v + 1.5])
+    # `rhot calibrate cameras` refuses cameras that do not stand as the rig says.
+    measures = Measures(0.172, 0.074, (0.035, 0.025), (9, 6), 0.025, "left")
+    for folder, sign in ((data, 1.0), (copy, -1.0)):
+        rig = tmp_path / f"rig{sign}"
+        rig.mkdir()
+        write_rig(folder, rig, measures)
+        assert sign * load_rig(rig).config.cameras["right"].position_m[0] > 0.0
 
 
 def test_half_the_rate_keeps_every_second_picture_and_its_truth(data: Path, tmp_path: Path) -> None:
