@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from rhot.rig import MarkerConfig
 from rhot.rig.colors import ColorComponent, ColorsFile, GaussianColor, RgbColor
 from rhot_capture.detection.color_table import ColorTable, build_color_table
 from rhot_capture.detection.detector import MarkerDetector
+from rhot_capture.detection.hand.evidence import HandReach
 
 STRIP = "index"
 PLACES = {"thumb": (60, 40), "middle": (85, 36), "little": (110, 40), "base": (85, 100)}
@@ -78,3 +82,14 @@ def test_a_hand_that_was_open_is_known_when_one_marker_is_left(markers: dict[str
 
 def test_skin_and_mixtures_of_other_paints_are_no_faint_marker(markers: dict[str, MarkerConfig]) -> None:
     assert set(detector(markers, table_of()).detect(picture((50, 70), paint="little"))) == set(PLACES)
+
+
+def test_markers_farther_apart_than_the_hand_was_wide_leave_nowhere_to_look(markers: dict[str, MarkerConfig]) -> None:
+    def at(u: float, v: float) -> Any:
+        return SimpleNamespace(blob=SimpleNamespace(middle=(u, v)))
+
+    reach, table, image = HandReach(markers), table_of(), picture((50, 70))
+    missing = {STRIP: table.names.index(STRIP) + 1}
+    together = {name: at(*place) for name, place in PLACES.items()}
+    assert reach.looks(image, table, missing, together)
+    assert reach.looks(image, table, missing, {"thumb": at(60, 40), "middle": at(*FAR)}) == []

@@ -354,6 +354,9 @@ class HandReach:
                 room = extent_px + 12
                 left, right = max(0, int(max(u) - room)), min(width, int(min(u) + room) + 1)
                 top, bottom = max(0, int(max(v) - room)), min(height, int(min(v) + room) + 1)
+                if right - left < 2 or bottom - top < 2:
+                    # Farther apart than the hand is wide: not all of them are on it, and nothing is near to all.
+                    continue
                 part = image[top:bottom, left:right]
                 for label, region in find_regions(part, self._faint(table, labels)):
                     x, y, across, down = region
