@@ -304,7 +304,12 @@ class CaptureService:
         key = f"rhot/keep/capture/{self.instance}"
         node.bus.queryable(key, lambda request: self._answer_keep(loop, request), slow=True)
         node.status.include(self._counts)
-        node.status.watch(lambda: ({}, self._source.problem if isinstance(self._source, ReportsProblem) else ""))
+        node.status.watch(self._figures_and_problem)
+
+    def _figures_and_problem(self) -> tuple[dict[str, float], str]:
+        red, blue = self._detector.light
+        problem = self._source.problem if isinstance(self._source, ReportsProblem) else ""
+        return {"light_red": red, "light_blue": blue}, problem
 
     def _counts(self) -> dict[str, int]:
         unsent = {} if self._frame_stream is None else {"pictures_dropped": self._frame_stream.dropped}

@@ -23,6 +23,7 @@ from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts
 from rhot_capture.detection.hand.evidence import HandAxis, HandReach, HandScale, SkinContact
 from rhot_capture.detection.hand.sharing import SharedPaints, spot_of
+from rhot_capture.detection.light import Light
 from rhot_capture.detection.result import Decisions, Detection
 from rhot_capture.detection.score import probability
 from rhot_capture.detection.subpixel.batch import find_centres
@@ -67,7 +68,7 @@ class MarkerDetector:
 
     @property
     def table(self) -> ColorTable:
-        """The colours in use; may be replaced between frames."""
+        """The colours in use, in the light of the last frames; may be replaced between frames."""
         return self._table
 
     @table.setter
@@ -76,7 +77,8 @@ class MarkerDetector:
             raise ConfigError(
                 f"the colour table is for {', '.join(table.names)}, but the detector is for {', '.join(self._names)}"
             )
-        self._table = table
+        self._table = self._calibrated = table
+        self._light = Light()
 
     @property
     def decisions(self) -> Decisions:
@@ -116,7 +118,24 @@ class MarkerDetector:
             if name not in chosen:
                 self._tracks[name].miss()
                 self._shapes.pop(name, None)
+        if self._light.is_due():
+            self._follow_light(chosen)
         return self._measure(image, chosen)
+
+    @property
+    def light(self) -> tuple[float, float]:
+        """Red and blue of the light, relative to green, as factors on those of the calibration."""
+        red, blue = np.exp(self._light.shift).tolist()
+        return red, blue
+
+    def _follow_light(self, chosen: Mapping[str, Candidate]) -> None:
+        paints = [
+            (self._labels[name], self._image[one.blob.window], one.blob.mask)
+            for name, one in chosen.items()
+            if one.blob.border_share == 0.0
+        ]
+        if self._light.look(self._calibrated, paints):
+            self._table = self._light.on(self._calibrated)
 
     def decide_everywhere(self, image: ImageArray) -> Decisions:
         """Search a whole frame and return the decisions; does not update the tracks.
