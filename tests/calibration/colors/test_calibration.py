@@ -195,6 +195,27 @@ def test_painted_markers_of_real_photos_are_found(
         assert found[name].area == pytest.approx(marker["area_px"], rel=0.35), name
 
 
+@pytest.mark.parametrize(
+    ("photo", "light"),
+    [("final_finger_markers.jpg", (1.25, 0.8)), ("GOPR0442.MP4.Standbild001.jpg", (0.8, 1.25))],
+)
+def test_real_paints_are_found_while_the_light_changes(
+    thesis_rig: Path,
+    photo_colors: Callable[[str, float], ColorsFile],
+    markers: Any,
+    photo: str,
+    light: tuple[float, float],
+) -> None:
+    image, colors, true = read(thesis_rig, photo), photo_colors(photo, 0.0), annotated(thesis_rig, photo)
+    detector = MarkerDetector(markers, build_color_table(colors, list(markers)), image.shape[1], image.shape[0])
+    for frame in range(125):
+        red, blue = np.power(light, min(frame / 100.0, 1.0))
+        found = detector.detect(np.clip(np.rint(image * [blue, 1.0, red]), 0, 255).astype(np.uint8))
+    assert set(found) == set(true)
+    for name, marker in true.items():
+        assert np.hypot(found[name].u - marker["cx"], found[name].v - marker["cy"]) < 3.0, name
+
+
 def test_pictures_without_markers_show_none(
     thesis_rig: Path, photo_colors: Callable[[str, float], ColorsFile], markers: Any
 ) -> None:

@@ -14,7 +14,7 @@ from rhot_capture.detection.color_table import ColorTable
 from rhot_capture.detection.detector import MarkerDetector
 from rhot_capture.detection.light import Light
 
-WARM = 1.5, 0.65
+WARM = 1.4, 0.7
 """Red and blue of an evening, relative to green and to the calibration."""
 
 

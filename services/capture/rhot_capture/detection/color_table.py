@@ -37,7 +37,7 @@ class ColorTable:
 
     Attributes:
         names: markers; label i stands for `names[i - 1]`.
-        middles: (N, 2) ln(R/G) and ln(B/G) of the N classes; NaN for a marker without colours.
+        middles: (N, 3) mean red, green, blue of the N paints, 0 to 255; 0 for one without statistics.
         labels: (65536,) uint8, label of each 5-6-5 colour, 0 = none.
         likelihoods: (65536,) uint8, likelihood of the colour given its label: 255 at the centre of the class, about 0
             at its limit.
@@ -78,11 +78,6 @@ def table_colors() -> FloatArray:
     index = np.arange(TABLE_SIZE)
     red, green, blue = index >> 11, (index >> 5) & 63, index & 31
     return np.column_stack([red * 8 + 3.5, green * 4 + 1.5, blue * 8 + 3.5])
-
-
-def chroma_of(rgb: FloatArray) -> FloatArray:
-    """Return ln(R/G) and ln(B/G) of (..., 3) red, green, blue, 0 to 255: what shading leaves alone."""
-    return log_ratio(rgb)[..., :2]
 
 
 def packed_of(rgb: FloatArray) -> NDArray[np.int64]:
@@ -126,15 +121,18 @@ def build_color_table(colors: ColorsFile, names: Sequence[str], camera: str | No
     faint = np.where(labels > 0, labels, faint)
     for table in (labels, likelihoods, faint, *(() if skin is None else (skin,))):
         table.setflags(write=False)
-    return ColorTable(tuple(names), _middles(labels, likelihoods, len(names)), labels, likelihoods, faint, skin)
+    return ColorTable(tuple(names), _middles(colors, names, gains), labels, likelihoods, faint, skin)
 
 
-def _middles(labels: ImageArray, likelihoods: ImageArray, count: int) -> FloatArray:
-    """Return ln(R/G) and ln(B/G) of each label, (count, 2), by the likelihoods of its colours; NaN without colours."""
-    weights = np.bincount(labels, likelihoods, count + 1)[1:]
-    sums = [np.bincount(labels, likelihoods * axis, count + 1)[1:] for axis in chroma_of(table_colors()).T]
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.stack(sums, axis=1) / weights[:, None])
+def _middles(colors: ColorsFile, names: Sequence[str], gains: Gains) -> FloatArray:
+    """Return the mean red, green, blue of each paint in a camera's pictures, (N, 3); 0 for one without statistics."""
+    middles = np.zeros((len(names), 3))
+    for place, name in enumerate(names):
+        color = colors.markers.get(name)
+        if isinstance(color, GaussianColor):
+            weights = [component.weight for component in color.components]
+            middles[place] = np.average([component.rgb for component in color.components], axis=0, weights=weights)
+    return middles / gains
 
 
 def _assign_statistical(
