@@ -365,10 +365,7 @@ async def test_replayed_markers_move_living_services(router: BusConfig, tmp_path
     logger.info(figures)
     assert len(live) > 0.6 * len(recorded), figures
     assert len(errors_mm) > 0.8 * 26 * len(settled), figures
-    assert np.median(errors_mm) < 1.5, figures
-    # A busy machine's services skip samples, and what comes after a skipped one is another path to the same place.
-    if len(live) > 0.95 * len(recorded):
-        assert np.percentile(errors_mm, 95) < 3.0, figures
+    assert np.percentile(errors_mm, 95) < 3.0, figures
 
 
 async def test_recorded_pictures_show_the_markers_that_were_seen_live(router: BusConfig, tmp_path: Path) -> None:
