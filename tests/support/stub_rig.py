@@ -85,6 +85,7 @@ class StubRig:
         self._has_clock = clock
         self.zero_ns = 0
         self._predicted = predicted
+        self._busy = set(self.cameras)
         self._endpoint = endpoint
         self._places: deque[tuple[float, FloatArray]] = deque(maxlen=round(120 * RATE_HZ))
         self.newest: dict[str, MarkerFrame] = {}
@@ -218,6 +219,10 @@ class StubRig:
             if wanted.exposure_s > 1.0 / RATE_HZ:
                 raise ConfigError(f"exposure_s: {wanted.exposure_s:g} s is longer than a frame at {RATE_HZ:g} Hz")
             self.settings[camera] = wanted
+        elif camera in self._busy:
+            # The first reading is answered too late for who asks, as a camera that is being opened answers.
+            self._busy.discard(camera)
+            time.sleep(1.0)
         return config_answer(self.settings[camera], request)
 
 

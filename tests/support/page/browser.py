@@ -143,19 +143,30 @@ class Browser:
             self.command("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def click_text(self, text: str, tag: str = "button", timeout_s: float = 120.0) -> None:
-        """Click the visible element of a kind that bears exactly this text, as soon as it can be clicked."""
-        x, y = self.wait_for(
-            f"""(() => {{
-                const hit = [...document.querySelectorAll({json.dumps(tag)})].find(
-                    e => e.textContent.trim() === {json.dumps(text)} && e.getClientRects().length);
-                if (!hit || hit.disabled) return null;
-                hit.scrollIntoView({{block: "center"}});
-                const box = hit.getBoundingClientRect();
-                return [box.x + box.width / 2, box.y + box.height / 2];
-            }})()""",
-            timeout_s,
-        )
-        self.click(x, y)
+        """Click the visible element of a kind that bears exactly this text, as soon as it can be clicked.
+
+        Where the page moved under the pointer and something else was hit, it is clicked again, as a person would.
+        """
+
+        def hit() -> bool:
+            place = self.evaluate(
+                f"""(() => {{
+                    const hit = [...document.querySelectorAll({json.dumps(tag)})].find(
+                        e => e.textContent.trim() === {json.dumps(text)} && e.getClientRects().length);
+                    if (!hit || hit.disabled) return null;
+                    hit.scrollIntoView({{block: "center"}});
+                    window.wasHit = false;
+                    hit.addEventListener("pointerdown", () => {{ window.wasHit = true; }}, {{once: true}});
+                    const box = hit.getBoundingClientRect();
+                    return [box.x + box.width / 2, box.y + box.height / 2];
+                }})()"""
+            )
+            if place is None:
+                return False
+            self.click(*place)
+            return bool(self.evaluate("window.wasHit"))
+
+        wait_until(hit, f"a click on {tag} {text!r}", timeout_s)
 
     def close(self) -> None:
         """End the browser."""

@@ -285,10 +285,11 @@ class CamerasPanel:
                     handle.value = value  # type: ignore[misc]  # viser's own setter
 
     def _read_again(self, camera: str, folder: _CameraFolder) -> None:
-        """Ask for the settings when the camera appears, and when its status says that they have changed."""
+        """Ask for the settings when the camera appears and when its status says that they changed, until it answers."""
         status_age_s = 5.0
         status = self._inbox.newest(f"rhot/status/capture/{camera}", ServiceStatus, status_age_s)
         digest = "" if status is None else status.config_digest
-        if digest and digest != folder.digest:
+        unread = self._settings.cameras[camera].unread and not self._settings.is_asked(camera)
+        if digest and (digest != folder.digest or unread):
             self._settings.ask(camera, {})
         folder.digest = digest

@@ -128,11 +128,13 @@ class CameraState:
         settings: fields of `CameraSettings`; empty before the first answer.
         refusal: why the last change was refused; empty otherwise.
         version: number of answers.
+        unread: the last reading failed, and the settings may be others by now.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
     refusal: str = ""
     version: int = 0
+    unread: bool = False
 
 
 class CaptureSettings:
@@ -184,22 +186,21 @@ class CaptureSettings:
     async def _answer(self, bus: Bus, camera: str, change: Mapping[str, Any]) -> CameraState:
         before = self.cameras[camera]
         key = f"rhot/config/capture/{camera}?format=json"
+        failure, settings = "", None
         try:
             replies = await bus.get(key, json.dumps(change).encode() if change else b"", timeout_s=_TIMEOUT_S)
+            failure = replies[0].error if replies else _silent(camera)
+            settings = None if failure else json.loads(replies[0].payload)
         except BusError as error:
-            return CameraState(before.settings, str(error), before.version + 1)
-        if not replies:
-            return CameraState(before.settings, _silent(camera), before.version + 1)
-        if replies[0].error:
-            return CameraState(before.settings, replies[0].error, before.version + 1)
-        try:
-            settings = json.loads(replies[0].payload)
+            failure = str(error)
         except (ValueError, RecursionError):
-            settings = None
-        if not isinstance(settings, dict):
-            return CameraState(before.settings, "the answer is not a map of settings", before.version + 1)
+            pass
+        if failure or not isinstance(settings, dict):
+            failure = failure or "the answer is not a map of settings"
+            return replace(before, refusal=failure, version=before.version + 1, unread=before.unread or not change)
         # A mere reading does not take away the reason why the last change was refused.
-        return CameraState(settings, before.refusal if not change else "", before.version + 1)
+        refusal = "" if change or before.unread else before.refusal
+        return CameraState(settings, refusal, before.version + 1)
 
 
 def _silent(camera: str) -> str:
