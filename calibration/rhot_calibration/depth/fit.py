@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from rhot.arrays import FloatArray
 from rhot.errors import CalibrationError
@@ -83,6 +82,8 @@ def fit_physical_law(distance_m: FloatArray, disparity_px: FloatArray) -> Physic
     Raises:
         CalibrationError: too few or impossible rows.
     """
+    from scipy.optimize import least_squares  # noqa: PLC0415  # half a second, and reports of a trial load this too
+
     check_rows(distance_m, disparity_px)
     A = np.column_stack([1.0 / distance_m, np.ones(len(distance_m))])
     start, *_ = np.linalg.lstsq(A, disparity_px, rcond=None)

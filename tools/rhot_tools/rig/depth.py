@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from rhot.arrays import FloatArray
 from rhot.errors import ConfigError
@@ -190,7 +190,7 @@ def _reaches(x: FloatArray, residual: FloatArray, off: FloatArray) -> tuple[floa
     square = float(from_middle @ from_middle)
     freedom = max(count - 2, 1)
     variance = float(residual @ residual) / freedom
-    reach = float(student.ppf(0.5 + 0.5 * COVERAGE, freedom))
+    reach = float(stdtrit(freedom, 0.5 + 0.5 * COVERAGE))
     slope = from_middle / square
     constant = 1.0 / count - x.mean() * slope
     by_scatter = reach * np.sqrt(variance * np.array([float(constant @ constant), float(slope @ slope)]))

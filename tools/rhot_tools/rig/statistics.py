@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from rhot.arrays import FloatArray
 from rhot_tools.measures.rows import Row
@@ -133,7 +133,7 @@ def deviation(values: FloatArray) -> Figure:
 def _figure(value: float, error: float, independent: float, count: int, *, positive: bool = False) -> Figure:
     if independent < LEAST_INDEPENDENT:
         return Figure(value, float("nan"), float("nan"), independent, count, error)
-    reach = float(student.ppf(0.5 + 0.5 * COVERAGE, independent - 1.0)) * error
+    reach = float(stdtrit(independent - 1.0, 0.5 + 0.5 * COVERAGE)) * error
     low, high = value - reach, value + reach
     if positive and value > 0.0:
         low, high = value * float(np.exp(-reach / value)), value * float(np.exp(reach / value))
