@@ -151,7 +151,7 @@ CHANGES: Final[Mapping[str, Change]] = {
         )
         for what, shares, percents in (
             ("brightness", (1.0, 1.0, 1.0), (-40, -20, 20, 40)),
-            ("colour", (-1.0, 0.0, 1.0), (-20, -10, 10, 20)),
+            ("colour", (-1.0, 0.0, 1.0), (-30, -20, -10, 10, 20, 30)),
         )
         for percent in percents
     },

@@ -65,12 +65,26 @@ def test_what_a_few_paints_do_is_not_the_light(table: Any, paints: Any) -> None:
     assert np.exp(light.shift) == pytest.approx(WARM, rel=0.15)
 
 
-def test_a_lamp_that_is_switched_off_again_is_no_end(table: Any, paints: Any) -> None:
+def test_a_lamp_that_is_switched_is_found_by_trying(markers: Any, table: Any, scene: Any, six_shapes: Any) -> None:
+    drawn, detector = scene(six_shapes(3), noise=2.0), MarkerDetector(markers, table, 640, 480)
+    empty = scene([], noise=2.0).image
+    for light in ((1.0, 1.0), WARM, (1.0, 1.0), (0.75, 1.3)):
+        for _ in range(100):
+            found = detector.detect(in_light(drawn.image, *light))
+        assert set(found) == set(drawn.truth), light
+        assert detector.light == pytest.approx(light, rel=0.1)
+        # Nobody is there for a while.
+        for _ in range(100):
+            assert detector.detect(in_light(empty, *light)) == {}
+
+
+def test_one_marker_in_view_is_no_reason_to_doubt(markers: Any, table: Any, scene: Any, six_shapes: Any) -> None:
+    drawn, detector = scene(six_shapes(3)[:1], noise=2.0), MarkerDetector(markers, table, 640, 480)
+    assert all(detector.detect(drawn.image) for _ in range(100))
+    assert detector.table is table
+
+
+def test_paints_that_are_taken_for_others_are_no_tinted_light(table: Any, paints: Any) -> None:
     light = Light()
-    assert looked(light, table, paints, dict.fromkeys(paints, WARM))
-    warm = light.shift
-    shifts = []
-    for _ in range(16):
-        looked(light, table, paints, {})
-        shifts.append(tuple(light.shift))
-    assert shifts == [tuple(warm)] * 7 + [(0.0, 0.0)] * 8 + [tuple(warm)]
+    looked(light, table, paints, dict.fromkeys(list(paints)[:3], (1.2, 1.25)))
+    assert not light.shift.any()

@@ -118,9 +118,10 @@ class MarkerDetector:
             if name not in chosen:
                 self._tracks[name].miss()
                 self._shapes.pop(name, None)
+        is_tried = self._light.is_tried
         if self._light.is_due():
             self._follow_light(chosen)
-        return self._measure(image, chosen)
+        return {} if is_tried else self._measure(image, chosen)
 
     @property
     def light(self) -> tuple[float, float]:

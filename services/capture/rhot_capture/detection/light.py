@@ -2,7 +2,8 @@
 
 Light of another colour multiplies red, green and blue of all paints by the same factors (von Kries 1902). The median
 over the paints of how much red and blue have grown against green, since they were calibrated, is what the light did;
-what a single one does, such as paint beside a red sleeve, is not.
+what a single one does, such as paint beside a red sleeve, is not. After a larger step paints are taken for each other,
+or for nothing: where few are what their labels say, other lights are tried, and the one in which most agree is it.
 """
 
 from __future__ import annotations
@@ -18,21 +19,28 @@ from rhot.arrays import FloatArray, ImageArray
 from rhot_capture.detection.color_table import ColorTable, in_balance, packed_of, table_colors
 
 LOOK_FRAMES: Final = 6
-"""Every so many frames the paints are looked at."""
-_LOOKS: Final = 4
-"""So many looks make a decision: 0.4 s at 60 Hz."""
+"""Every so many frames the paints are looked at; every frame until the light is known."""
+_LOOKS, _TRIAL_LOOKS = 4, 2
+"""So many looks make a decision, 0.4 s at 60 Hz, and so many frames a trial of another light."""
 _LEAST_PAINTS: Final = 3
 """That agree, and at least half of those seen; fewer may all be in the reflection of one thing."""
 _AGREE: Final = 0.08
 """Farthest from the paints' median, logarithm of the factor. On rendered pictures, with and without a change of 20 %,
 half of the paints are within 0.03 of it."""
-_LEAST: Final = 0.04
-"""Smaller changes are within the calibrated classes; the median is true to 0.02."""
+_EXPLAINED: Final = 0.15
+"""Farthest from the light in use for a paint to be what its label says. Paint that is cut off at white is 0.1 off."""
+_LEAST: Final = 0.07
+"""Smaller changes are within the calibrated classes, and paint that is nearly cut off says as much by itself."""
 _MOST: Final = 0.6
 """Largest change: a factor of 1.8 between red or blue and green. From an overcast sky to an incandescent lamp it is
 about 2.5."""
-_BLIND: Final = 8
-"""So many decisions in a row with hardly a paint, and another light is tried."""
+_TINT: Final = 0.25
+"""Largest change towards magenta or green. Day and incandescent lamps lie on the line where red grows as blue shrinks
+(Finlayson et al. 1994); what is far from it are paints that are taken for others."""
+_TRIED: Final = tuple(np.array([d, -d]) for d in (0.0, 0.17, -0.17, 0.34, -0.34, 0.51, -0.51))
+"""Lights to try, on that line. Paints are found in one that is half a step off."""
+_PATIENCE: Final = 4, 256
+"""Decisions in doubt until other lights are tried: at first, and at most, each time doubled."""
 _DARK: Final = 20.0
 _BRIGHT: Final = 245.0
 """Grey levels between which a channel is used: below, the camera's black level counts."""
@@ -44,22 +52,28 @@ class Light:
 
     Attributes:
         shift: (2,) by how much ln(R/G) and ln(B/G) of all paints have grown.
+        is_tried: `shift` is one of several that are tried, and what is found in it is not to be believed.
     """
 
     def __init__(self) -> None:
         self.shift: FloatArray = np.zeros(2)
-        self._seen = self.shift
-        self._frames = self._blind = self._looks = 0
+        self.is_tried = False
+        self._is_known = False
+        self._frames = self._looks = 0
         # Of each label: sums of red, green and blue, and their number.
         self._sums: dict[int, list[float]] = {}
+        self._patience = self._wait = _PATIENCE[0]
+        self._untried: list[FloatArray] = []
+        # The most paints that agreed in a light that was tried, and what they said.
+        self._best: tuple[int, FloatArray] = 0, self.shift
 
     def is_due(self) -> bool:
         """Count a frame; return whether its paints are to be looked at."""
         self._frames = (self._frames + 1) % LOOK_FRAMES
-        return self._frames == 0
+        return self._frames == 0 or self.is_tried or not self._is_known
 
     def look(self, table: ColorTable, blobs: Iterable[tuple[int, ImageArray, ImageArray]]) -> bool:
-        """Take the paints of a frame; return whether the light has changed.
+        """Take the paints of a frame; return whether another light is to be used.
 
         Args:
             table: of the calibration.
@@ -68,48 +82,52 @@ class Light:
         for label, pixels, mask in blobs:
             # Pixels at the rim are mixed with what is beside them.
             core = cv2.erode(mask, _CORE, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+            # Those that are cut off at white have another colour than the paint.
+            core = cv2.bitwise_and(core, cv2.inRange(pixels, (0.0,) * 3, (_BRIGHT,) * 3))
             blue, green, red, _ = cv2.mean(pixels, core)
             if green:
                 sums = self._sums.setdefault(label, [0.0, 0.0, 0.0, 0.0])
                 for place, value in enumerate((red, green, blue, 1.0)):
                     sums[place] += value
         self._looks += 1
-        if self._looks < _LOOKS:
+        if self._looks < (_TRIAL_LOOKS if self.is_tried else _LOOKS):
             return False
         looked, self._sums, self._looks = self._sums, {}, 0
-        return self._decide(table, looked)
+        before = self.shift
+        moved = _moved(table, looked)
+        if self.is_tried:
+            self._try_next(moved)
+        else:
+            self._decide(moved, len(table.names))
+        return self.shift is not before
 
-    def _decide(self, table: ColorTable, sums: dict[int, list[float]]) -> bool:
-        if len(sums) < 2:
-            return self._try_another()
-        self._blind = 0
-        seen = np.array(list(sums.values()))
-        seen = seen[:, :3] / seen[:, 3:]
-        there = table.middles[np.array(list(sums)) - 1]
-        # What is nearly black or saturated in one light says nothing of another.
-        known = (np.minimum(seen, there) > _DARK) & (np.maximum(seen, there) < _BRIGHT)
-        shift = self.shift.copy()
-        for axis, channel in enumerate((0, 2)):
-            use = known[:, channel] & known[:, 1]
-            moved = np.log(seen[use, channel] * there[use, 1] / (there[use, channel] * seen[use, 1]))
-            agree = np.abs(moved - np.median(moved)) < _AGREE if use.any() else use
-            if agree.sum() >= max(_LEAST_PAINTS, 0.5 * len(moved)):
-                shift[axis] = moved[agree].mean()
-        if (np.abs(shift - self.shift) < _LEAST).all():
-            return False
-        self.shift = self._seen = np.clip(shift, -_MOST, _MOST)
-        return True
+    def _decide(self, moved: FloatArray, markers: int) -> None:
+        shift = _said(moved, self.shift)
+        has_changed = bool((np.abs(shift - self.shift) > _LEAST).any())
+        if has_changed:
+            self.shift = shift
+        explained = _near(moved, self.shift, _EXPLAINED)
+        self._is_known = not has_changed and (self._is_known or explained >= _LEAST_PAINTS)
+        # Few markers are no reason to doubt: the hand may be half out of view.
+        all_explained = 0 < explained == int((~np.isnan(moved).all(axis=1)).sum())
+        if explained >= _LEAST_PAINTS or all_explained or markers < _LEAST_PAINTS:
+            self._patience = self._wait = _PATIENCE[0]
+            return
+        self._wait -= 1
+        if not self._wait:
+            self._patience = self._wait = min(2 * self._patience, _PATIENCE[1])
+            self._best = explained, self.shift
+            self._untried = list(_TRIED)
+            self.is_tried = True
+            self.shift = self._untried.pop()
 
-    def _try_another(self) -> bool:
-        """Go back to the light of the calibration, and from there to the last one, while there is hardly a paint.
-
-        No hand is in view, or the light was switched.
-        """
-        self._blind += 1
-        if self._blind % _BLIND or not self._seen.any():
-            return False
-        self.shift = np.zeros(2) if self.shift.any() else self._seen
-        return True
+    def _try_next(self, moved: FloatArray) -> None:
+        shift = _said(moved, self.shift)
+        agree = _near(moved, shift, _AGREE)
+        if agree > self._best[0] and agree >= _LEAST_PAINTS:
+            self._best = agree, shift
+        self.is_tried = bool(self._untried)
+        self.shift = self._untried.pop() if self.is_tried else self._best[1].copy()
 
     def on(self, table: ColorTable) -> ColorTable:
         """Return a table of the calibration for pictures in this light."""
@@ -124,3 +142,40 @@ class Light:
             faint=table.faint[there],
             skin=None if table.skin is None else table.skin[there],
         )
+
+
+def _moved(table: ColorTable, sums: dict[int, list[float]]) -> FloatArray:
+    """Return by how much ln(R/G) and ln(B/G) of each paint have grown, (n, 2); NaN where it is too dark or cut off."""
+    seen = np.array(list(sums.values())).reshape(-1, 4)
+    seen = seen[:, :3] / seen[:, 3:]
+    there = table.middles[np.array(list(sums), dtype=int) - 1]
+    # What is nearly black or saturated in one light says nothing of another.
+    known = (np.minimum(seen, there) > _DARK) & (np.maximum(seen, there) < _BRIGHT)
+    grown = np.log(np.maximum(seen, 1.0) / np.maximum(there, 1.0))
+    moved: FloatArray = np.where(known[:, [0, 2]] & known[:, [1]], grown[:, [0, 2]] - grown[:, [1]], np.nan)
+    return moved
+
+
+def _near(moved: FloatArray, shift: FloatArray, limit: float) -> int:
+    """Return how many paints, (n, 2) with NaN, are within a limit of a light in all of them that can be measured."""
+    return int((~(np.abs(moved - shift) > limit).any(axis=1) & ~np.isnan(moved).all(axis=1)).sum())
+
+
+def _said(moved: FloatArray, here: FloatArray) -> FloatArray:
+    """Return the light by what most paints say, (n, 2) with NaN; `here`, the one in use, where that is none."""
+    shift = np.array([_agreed(of_axis, at) for of_axis, at in zip(moved.T, here, strict=True)])
+    return np.clip(shift, -_MOST, _MOST) if abs(shift.sum()) < _TINT else here
+
+
+def _agreed(moved: FloatArray, here: float) -> float:
+    """Return what most paints say of one ratio, (n,) with NaN; `here`, what holds now, where they say nothing else."""
+    moved = moved[~np.isnan(moved)]
+    if not len(moved):
+        return here
+    off = np.abs(moved - np.median(moved))
+    agree = off < _AGREE
+    if agree.sum() < max(_LEAST_PAINTS, 0.5 * len(moved)):
+        return here
+    mean = float(moved[agree].mean())
+    # What is twice as far as the paints scatter (normal: 1.48 median deviations) is no chance.
+    return mean if abs(mean - here) > 2.0 * 1.48 * np.median(off) / np.sqrt(len(off)) else here
