@@ -28,6 +28,8 @@ from rhot_viewer.grasp.server import Browser, GraspServer, page_tls
 TOKEN = "a-token-that-is-long-enough"
 DEVICES = {"type": "devices", "t_ms": 1.7e12, "head": {"position": [0, 1, 0], "orientation": [0, 0, 0, 1]}}
 LIMIT_S = 20.0
+LARGE = bytes(16_000_000)
+"""More than the system buffers between two of its processes."""
 
 
 class Page:
@@ -50,7 +52,7 @@ class Page:
             lambda: 1234.5,
             lambda _, told: self.heard.append(told),
             self.left.append,
-            {"cup": b"glTF"}.get,
+            {"cup": b"glTF", "large": LARGE}.get,
         )
 
     def hello(self, role: Role) -> str:
@@ -234,6 +236,28 @@ async def test_files_of_the_bundle_and_no_others(page: Page, tmp_path: Path, mon
         "//etc/passwd",
     ):
         assert (await fetch(page, path))[0] == 404, path
+
+
+async def test_a_file_reaches_a_slow_browser_whole(page: Page, caplog: pytest.LogCaptureFixture) -> None:
+    async def asked() -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        reader, writer = await asyncio.open_connection("127.0.0.1", page.port)
+        writer.write(f"GET /mesh.large.glb HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode())
+        assert await reader.readline() == b"HTTP/1.1 200 OK\r\n"
+        return reader, writer
+
+    slow, slows = await asked()
+    _, leaves = await asked()
+    await asyncio.sleep(1.0)
+    leaves.transport.abort()
+    assert (await asyncio.wait_for(slow.read(), LIMIT_S)).endswith(LARGE)
+    slows.close()
+    await answers_others(page)
+    assert caplog.records == []
+
+
+async def answers_others(page: Page) -> None:
+    async with browser(page) as one:
+        assert (await read(one))["type"] == "hello"
 
 
 async def test_a_taken_port_is_named(page: Page) -> None:

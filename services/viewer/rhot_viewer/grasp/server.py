@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.http11 import Request, Response
 
 from rhot.errors import ConfigError, DeviceError, WireError
@@ -33,6 +33,7 @@ from rhot_viewer.grasp.uplink import (
 logger = logging.getLogger(__name__)
 _SOCKET_LOGGER: Final = "rhot_viewer.websockets"
 _TRUTH: Final = "rhot/truth"
+_SEND_S: Final = 60.0
 
 
 class Browser:
@@ -127,7 +128,9 @@ class GraspServer:
         Raises:
             DeviceError: the port is in use, or the address is not this machine's.
         """
-        logging.getLogger(_SOCKET_LOGGER).setLevel(logging.ERROR)
+        socket_logger = logging.getLogger(_SOCKET_LOGGER)
+        socket_logger.setLevel(logging.ERROR)
+        socket_logger.addFilter(_is_no_lost_connection)
         try:
             self._server = await serve(
                 self._stay,
@@ -140,8 +143,10 @@ class GraspServer:
                 # Compressing small texts at 90 Hz costs more time than it saves.
                 compression=None,
                 max_size=MOST_BYTES,
-                close_timeout=0.3,
-                logger=logging.getLogger(_SOCKET_LOGGER),
+                # A file that has not arrived by then is cut off, and a phone may be far from its router.
+                open_timeout=_SEND_S,
+                close_timeout=_SEND_S,
+                logger=socket_logger,
             )
         except (OSError, UnicodeError) as error:  # UnicodeError: no name can be like this
             raise DeviceError(cannot_listen(host, port, error)) from error
@@ -222,6 +227,11 @@ class GraspServer:
             self._server.close()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._server.wait_closed(), 0.5)
+
+
+def _is_no_lost_connection(record: logging.LogRecord) -> bool:
+    """Tell whether a message of websockets is more than that a browser went away or was too slow."""
+    return not (record.exc_info and isinstance(record.exc_info[1], WebSocketException))
 
 
 def _number(value: float) -> str:
