@@ -157,7 +157,7 @@ def test_the_rig_stays_after_the_summary_while_a_person_watches(
     """In a terminal: summary, next commands, and the pages go on until Ctrl-C."""
     rig, endpoint = simulated_rig
     terminal, slave = pty.openpty()
-    command = [sys.executable, "-m", "rhot", "sim", "--rig", str(rig), "--duration", "4", "--listen", endpoint]
+    command = [sys.executable, "-m", "rhot", "sim", "--rig", str(rig), "--duration", "8", "--listen", endpoint]
     said = b""
     with subprocess.Popen(
         [*command, "--page-port", str(free_port)], stdin=slave, stdout=slave, stderr=slave, start_new_session=True
@@ -192,7 +192,7 @@ def test_the_rig_stays_after_the_summary_while_a_person_watches(
 def test_a_clock_that_is_set_while_it_runs_does_not_end_it(tmp_path: Path) -> None:
     make_clock(tmp_path / "clock")
     endpoint = free_endpoint("tcp/127.0.0.1:0")
-    command = [sys.executable, "-m", "moved_clock", str(tmp_path / "clock"), "sim", "--duration", "8", "--headless"]
+    command = [sys.executable, "-m", "moved_clock", str(tmp_path / "clock"), "sim", "--duration", "15", "--headless"]
     search = f"{Path(__file__).parents[1] / 'support'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     with subprocess.Popen(
         [*command, "--rate", "15", "--listen", endpoint],
