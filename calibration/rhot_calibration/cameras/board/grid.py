@@ -176,12 +176,6 @@ def _candidates(gray: GrayImage, columns: int, rows: int) -> Iterator[FloatArray
     found, corners = cv2.findChessboardCorners(gray, (columns, rows), flags=flags)
     if found:
         yield np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
-    # What grows from a small patch takes a sixth of the time of looking for a count that is not there.
-    grown = grown_grid(gray, (3, 3))
-    if grown is not None and set(grown.shape[:2]) != {rows, columns}:
-        refined = refine(gray, grown)
-        if _alternates(gray, refined) and extra_corners(gray, refined) == (0, 0):
-            return
     found, corners = cv2.findChessboardCornersSB(gray, (columns, rows), flags=cv2.CALIB_CB_EXHAUSTIVE)
     if found:
         yield np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
