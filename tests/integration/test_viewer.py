@@ -75,6 +75,7 @@ def press(browser: Browser, slider: str, key: str) -> None:
             let box = label;
             while (!box.querySelector('[role=slider]')) box = box.parentElement;
             const thumb = box.querySelector('[role=slider]');
+            if (thumb.matches('[data-disabled]')) return false;
             thumb.scrollIntoView({{block: 'center'}});
             thumb.focus();
             return document.activeElement === thumb;

@@ -19,7 +19,6 @@ from rhot_calibration.cameras.board.grid import (
     dictionary_names,
     extra_corners,
     find_grid,
-    grown_grid,
     is_blank,
     oriented,
 )
@@ -204,15 +203,17 @@ def _chessboard_count(gray: GrayImage, board: Board) -> tuple[int, int] | None:
 
 
 def _likely_counts(gray: GrayImage, board: Board) -> Iterator[tuple[int, int]]:
-    """Yield counts to try: what grows from a small patch, then the stated one and the nearest others."""
+    """Yield counts to try: what OpenCV grows from a small patch, then the stated one and the nearest others."""
     stated = (board.columns, board.rows)
-    any_grown = False
+    any_patch = False
     for patch in ((6, 4), (4, 4), (3, 3)):
-        grown = grown_grid(gray, patch)
-        if grown is not None:
-            any_grown = True
-            yield grown.shape[1], grown.shape[0]
-    if not any_grown:
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(
+            gray, patch, flags=cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
+        )
+        if found:
+            any_patch = True
+            yield meta.shape[1], meta.shape[0]
+    if not any_patch:
         return
     steps = range(-_NEAR_COUNTS, _NEAR_COUNTS + 1)
     near = [(abs(i) + abs(j), stated[0] + i, stated[1] + j) for i in steps for j in steps]

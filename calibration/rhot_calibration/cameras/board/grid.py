@@ -181,14 +181,6 @@ def _candidates(gray: GrayImage, columns: int, rows: int) -> Iterator[FloatArray
         yield np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
 
 
-def grown_grid(gray: GrayImage, patch: tuple[int, int]) -> FloatArray | None:
-    """Return the grid, of whatever count, that OpenCV's sector-based finder grows from a patch of that many corners."""
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(
-        gray, patch, flags=cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
-    )
-    return np.asarray(corners, dtype=np.float64).reshape(*meta.shape[:2], 2) if found else None
-
-
 def _alternates(gray: GrayImage, grid: FloatArray) -> bool:
     """Tell whether squares are dark and light in turn; a finder told of a small board may return every other corner."""
     values = _squares(gray, grid)

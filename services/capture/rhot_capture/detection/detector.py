@@ -103,6 +103,8 @@ class MarkerDetector:
     def detect(self, image: ImageArray) -> dict[str, Detection]:
         """Return the markers detected in a frame; markers that are not visible are absent.
 
+        All are while the colours of another light are tried.
+
         Args:
             image: (H, W, 3) uint8 BGR.
 

@@ -52,20 +52,24 @@ class Light:
 
     Attributes:
         shift: (2,) by how much ln(R/G) and ln(B/G) of all paints have grown.
-        is_tried: `shift` is one of several that are tried, and what is found in it is not to be believed.
     """
 
     def __init__(self) -> None:
         self.shift: FloatArray = np.zeros(2)
-        self.is_tried = False
         self._is_known = False
         self._frames = self._looks = 0
         # Of each label: sums of red, green and blue, and their number.
         self._sums: dict[int, list[float]] = {}
         self._patience = self._wait = _PATIENCE[0]
-        self._untried: list[FloatArray] = []
+        # The light that is tried, last, and those that will be.
+        self._to_try: list[FloatArray] = []
         # The most paints that agreed in a light that was tried, and what they said.
         self._best: tuple[int, FloatArray] = 0, self.shift
+
+    @property
+    def is_tried(self) -> bool:
+        """Whether the light is one of several that are tried, and what is found in it is not to be believed."""
+        return bool(self._to_try)
 
     def is_due(self) -> bool:
         """Count a frame; return whether its paints are to be looked at."""
@@ -117,17 +121,16 @@ class Light:
         if not self._wait:
             self._patience = self._wait = min(2 * self._patience, _PATIENCE[1])
             self._best = explained, self.shift
-            self._untried = list(_TRIED)
-            self.is_tried = True
-            self.shift = self._untried.pop()
+            self._to_try = list(_TRIED)
+            self.shift = self._to_try[-1]
 
     def _try_next(self, moved: FloatArray) -> None:
         shift = _said(moved, self.shift)
         agree = _near(moved, shift, _AGREE)
         if agree > self._best[0] and agree >= _LEAST_PAINTS:
             self._best = agree, shift
-        self.is_tried = bool(self._untried)
-        self.shift = self._untried.pop() if self.is_tried else self._best[1].copy()
+        self._to_try.pop()
+        self.shift = self._to_try[-1] if self._to_try else self._best[1].copy()
 
     def on(self, table: ColorTable) -> ColorTable:
         """Return a table of the calibration for pictures in this light."""

@@ -33,7 +33,6 @@ from rhot_viewer.grasp.uplink import (
 logger = logging.getLogger(__name__)
 _SOCKET_LOGGER: Final = "rhot_viewer.websockets"
 _TRUTH: Final = "rhot/truth"
-_SEND_S: Final = 60.0
 
 
 class Browser:
@@ -143,9 +142,6 @@ class GraspServer:
                 # Compressing small texts at 90 Hz costs more time than it saves.
                 compression=None,
                 max_size=MOST_BYTES,
-                # A file that has not arrived by then is cut off, and a phone may be far from its router.
-                open_timeout=_SEND_S,
-                close_timeout=_SEND_S,
                 logger=socket_logger,
             )
         except (OSError, UnicodeError) as error:  # UnicodeError: no name can be like this
