@@ -17,7 +17,7 @@ import hypothesis
 import marker_streams
 from running.free_ports import free_ports
 from running.simulated_colors import copy_or_learn
-from wall_clock import ForeignLoad, excuse
+from wall_clock import MachineWatch, excuse
 
 from rhot.bus import Bus
 from rhot.rig import BusConfig, Rig
@@ -29,7 +29,7 @@ hypothesis.settings.register_profile("rhot", deadline=None)
 hypothesis.settings.load_profile("rhot")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-LOAD = pytest.StashKey[ForeignLoad]()
+WATCH = pytest.StashKey[MachineWatch]()
 REAL_TIME = (REPOSITORY / "tests" / "integration", REPOSITORY / "tests" / "faults")
 """Where `make test` looks for tests that want the machine to themselves."""
 
@@ -49,11 +49,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
-    """Watch who else uses the machine during tests whose limits are times on the clock."""
+    """Watch the machine during tests whose limits are times on the clock: who else uses it, and how fast it is."""
     if item.get_closest_marker("real_time") is None:
         return (yield)
-    load = item.stash[LOAD] = ForeignLoad()
-    load.start()
+    watch = item.stash[WATCH] = MachineWatch()
+    watch.start()
     return (yield)
 
 
@@ -61,11 +61,11 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Do not judge a limit on the wall clock that was missed while others used the machine; say so instead."""
+    """Do not judge a limit on the wall clock by a machine that is busy or too slow for it; say so instead."""
     report = yield
-    if call.when == "call" and LOAD in item.stash:
-        others = item.stash[LOAD].stop()
-        if report.failed and call.excinfo is not None and (reason := excuse(call.excinfo.value, others)):
+    if call.when == "call" and WATCH in item.stash:
+        others, slowness = item.stash[WATCH].stop()
+        if report.failed and call.excinfo is not None and (reason := excuse(call.excinfo.value, others, slowness)):
             report.outcome, report.longrepr = "skipped", (str(item.path), item.location[1] or 0, reason)
     return report
 

@@ -91,7 +91,8 @@ async def check(rig: PlayedRig, name: str, before: dict[str, int], begun_s: floa
 def report(verdicts: list[Verdict], file: Path) -> None:
     """Write all verdicts, and judge the slowest."""
     file.write_text(json.dumps([[one.what, round(one.back_s, 3), round(one.again_s, 3)] for one in verdicts]))
-    figures_in_time(f"{one.what}: back after {one.back_s:.2f} s" for one in verdicts if one.back_s > BACK_S)
+    late = [one for one in verdicts if one.back_s > BACK_S]
+    figures_in_time({f"{one.what}: back after {one.back_s:.2f} s": one.back_s / BACK_S for one in late})
 
 
 async def test_a_fault_of_each_kind(rig: PlayedRig, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ import things
 from page.browser import CHROMIUM, Browser, open_browser, wait_until
 from page.viewer_process import ViewerProcess
 from stub_rig import StubRig, StubThread
-from wall_clock import figures_in_time
+from wall_clock import figures_in_time, in_time
 
 from rhot.anatomy.skeleton import JOINTS
 from rhot.arrays import FloatArray
@@ -283,15 +284,17 @@ async def test_the_twin_is_lifted_and_put_down_when_the_truth_is(rig: Rig, stubb
     seen = seen[seen[:, 0] > begun_ms + 200.0]
     t_s, heights = seen[:, 0] / 1e3 - stub.zero_ns / 1e9, seen[:, 1]
     slow_s = float(np.diff(t_s).max())
-    figures_in_time([f"a picture took {slow_s:.2f} s"] if slow_s > 0.5 else [])
-    figures_in_time([f"the page's clock is known to {clock_ms:.0f} ms"] if clock_ms > 50.0 else [])
+    in_time(slow_s, 0.5, "a picture of the page")
+    in_time(clock_ms, 50.0, "how well the page knows the clock", "ms")
     assert heights.max() > lying + 0.09, "it was lifted"
     assert heights[-1] == pytest.approx(lying, abs=TWIN_OFF_M), "and put down"
     around = t_s[:, None] + np.linspace(-TWIN_LATE_S, TWIN_LATE_S, 21)
     true = true_heights(around.ravel()).reshape(around.shape)
     off = np.maximum(true.min(axis=1) - heights, heights - true.max(axis=1))
     late = off > TWIN_OFF_M
-    figures_in_time([f"{late.sum()} of {len(off)} pictures show the twin more than 0.1 s off"] if late.any() else [])
+    figures_in_time(
+        {f"{late.sum()} of {len(off)} pictures show the twin more than 0.1 s off": math.inf} if late.any() else {}
+    )
 
 
 async def newest_hand(rig: Rig) -> FloatArray:
