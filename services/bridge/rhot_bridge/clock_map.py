@@ -8,8 +8,9 @@ time
 on the other clock. r is read between l₀ and l₁, so o lies between l₀ − r and l₁ − r. If ô lies in this interval, it
 is kept, so that an interruption of the process between two readings does not change time stamps. Otherwise ô
 approaches the nearer bound by 1 − exp(−Δt/τ) of the difference after Δt: the rig clock of this machine is itself an
-estimate that changes by microseconds, and a recording must not jump with it. A difference of more than `STEP_NS`
-means that a clock was set; ô then follows at once.
+estimate that changes by microseconds, and a recording must not jump with it. Before τ has passed, the time since the
+first reading stands for it: what a busy machine's rig clock was off by when it joined is gone within seconds. A
+difference of more than `STEP_NS` means that a clock was set; ô then follows at once.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class ClockMap:
 
     def __init__(self) -> None:
         self._offset_ns: float | None = None
-        self._read_ns = 0
+        self._first_ns = self._read_ns = 0
 
     @property
     def ready(self) -> bool:
@@ -61,12 +62,15 @@ class ClockMap:
     def read(self, rig_ns: int, before_ns: int, after_ns: int) -> None:
         """Update the offset with a reading of the rig clock between two readings of the other clock."""
         local_ns = (before_ns + after_ns) // 2
-        last = float(local_ns - rig_ns) if self._offset_ns is None else self._offset_ns
+        if self._offset_ns is None:
+            self._offset_ns, self._first_ns = float(local_ns - rig_ns), local_ns
+        last = self._offset_ns
         nearest = min(max(last, before_ns - rig_ns), after_ns - rig_ns)
         if abs(nearest - last) > STEP_NS:
             self._offset_ns = float(local_ns - rig_ns)
         else:
-            share = 1.0 - math.exp(-max(0, local_ns - self._read_ns) / TIME_CONSTANT_NS)
+            constant_ns = min(TIME_CONSTANT_NS, max(1, local_ns - self._first_ns))
+            share = 1.0 - math.exp(-max(0, local_ns - self._read_ns) / constant_ns)
             self._offset_ns = last + share * (nearest - last)
         self._read_ns = local_ns
 
