@@ -170,27 +170,40 @@ class Exchange:
         return (self.t0 + self.t3) // 2
 
 
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """Rig minus node clock as a line through `offset_ns` at the node's time `node_ns`, of the newest exchange.
+
+    Attributes:
+        drift: its slope.
+        error_ns, drift_error: bounds of the errors of both.
+    """
+
+    node_ns: int
+    offset_ns: int
+    error_ns: float
+    drift: float
+    drift_error: float
+
+
 class ClockEstimator:
     """Offset and drift between a node's clock and the rig's from four-timestamp exchanges; reads no clock itself."""
 
     def __init__(self) -> None:
         self._exchanges: deque[Exchange] = deque(maxlen=WINDOW)
-        self._base_node_ns = 0
-        self._base_offset_ns = 0
-        self._drift = 0.0
-        self._error_ns = 0.0
-        self._drift_error = MAX_DRIFT
+        # Replaced as a whole: other threads read it.
+        self._line: _Line | None = None
         self.steps = 0
 
     @property
     def ready(self) -> bool:
         """Whether there was an exchange."""
-        return bool(self._exchanges)
+        return self._line is not None
 
     @property
     def drift_ppm(self) -> float:
         """Rate of the rig clock against the node's, parts per million."""
-        return self._drift * 1e6
+        return 0.0 if self._line is None else self._line.drift * 1e6
 
     def add(self, exchange: Exchange) -> bool:
         """Add an exchange; return whether it was accepted.
@@ -200,7 +213,7 @@ class ClockEstimator:
         """
         if not exchange.possible:
             return False
-        if self.ready:
+        if self._exchanges:
             distance = abs(exchange.offset_ns - self.offset_at(exchange.mid_ns))
             step_margin_ns = 1_000_000
             allowed = exchange.round_trip_ns / 2 + self.uncertainty_at(exchange.mid_ns) + step_margin_ns
@@ -212,9 +225,8 @@ class ClockEstimator:
         return True
 
     def reset(self) -> None:
-        """Forget everything: the rig clock is another one now."""
+        """Forget all exchanges: the rig clock is another one now. What was known holds until the next one."""
         self._exchanges.clear()
-        self._drift = 0.0
 
     def offset_at(self, node_ns: int) -> int:
         """Return rig minus node at a node time, nanoseconds.
@@ -222,16 +234,18 @@ class ClockEstimator:
         Raises:
             BusError: there was no exchange yet.
         """
-        if not self.ready:
-            raise BusError("the rig clock is not known yet: no service answered rhot/clock; is fusion running?")
-        return self._base_offset_ns + round(self._drift * (node_ns - self._base_node_ns))
+        line = self._known()
+        return line.offset_ns + round(line.drift * (node_ns - line.node_ns))
 
     def uncertainty_at(self, node_ns: int) -> float:
         """Return the bound of the offset's error at a node time, nanoseconds."""
-        if not self.ready:
+        line = self._known()
+        return line.error_ns + line.drift_error * max(0, node_ns - line.node_ns)
+
+    def _known(self) -> _Line:
+        if self._line is None:
             raise BusError("the rig clock is not known yet: no service answered rhot/clock; is fusion running?")
-        age_ns = max(0, node_ns - self._exchanges[-1].mid_ns)
-        return self._error_ns + self._drift_error * age_ns
+        return self._line
 
     def _fit(self) -> None:
         mids = np.array([exchange.mid_ns - self._exchanges[-1].mid_ns for exchange in self._exchanges], dtype=float)
@@ -260,11 +274,14 @@ class ClockEstimator:
             return
         (least_ns, most_ns), (slowest, fastest) = left
         estimate = min(max(estimate, least_ns), most_ns)
-        self._drift = min(max(drift, slowest), fastest)
-        self._base_node_ns = self._exchanges[-1].mid_ns
-        self._base_offset_ns = newest_offset + round(estimate)
-        self._error_ns = max(most_ns - estimate, estimate - least_ns)
-        self._drift_error = max(fastest - self._drift, self._drift - slowest)
+        drift = min(max(drift, slowest), fastest)
+        self._line = _Line(
+            node_ns=self._exchanges[-1].mid_ns,
+            offset_ns=newest_offset + round(estimate),
+            error_ns=max(most_ns - estimate, estimate - least_ns),
+            drift=drift,
+            drift_error=max(fastest - drift, drift - slowest),
+        )
 
 
 def _possible(

@@ -185,3 +185,79 @@ async def test_what_a_driver_raises_at_the_close_does_no_harm(caplog: pytest.Log
 async def test_reading_before_the_start_is_an_error() -> None:
     with pytest.raises(DeviceError, match="not started"):
         await grab(ScriptedSource()).next_frame()
+
+
+class TestWork:
+    """Frames on a thread of their own."""
+
+    async def test_a_frame_in_work_is_finished_before_the_device_is_closed(self) -> None:
+        source = ScriptedSource()
+        grabber = grab(source)
+        begun, go_on = threading.Event(), threading.Event()
+        seen: list[tuple[int, bool]] = []
+
+        def work(frame: Frame) -> None:
+            begun.set()
+            assert go_on.wait(5.0)
+            seen.append((frame.index, source.closed.is_set()))
+
+        grabber.start()
+        working = asyncio.create_task(grabber.work(work))
+        source.items.put(frame(0))
+        assert await asyncio.to_thread(begun.wait, 5.0)
+        for index in (1, 2):
+            source.items.put(frame(index))
+        await wait_for_reads(source, 4)
+        go_on.set()
+        while len(seen) < 2:
+            await asyncio.sleep(0.001)
+        begun.clear()
+        go_on.clear()
+        source.items.put(frame(3))
+        assert await asyncio.to_thread(begun.wait, 5.0)
+        stopping = asyncio.create_task(grabber.stop())
+        await asyncio.sleep(0.05)
+        assert not source.closed.is_set()
+        go_on.set()
+        await asyncio.wait_for(stopping, 5.0)
+        await asyncio.wait_for(working, 5.0)
+        assert seen == [(0, False), (2, False), (3, False)], "the newest, and none after the stop"
+        assert grabber.counts.dropped_late == 1
+
+    async def test_it_ends_with_the_source_and_passes_errors_on(self) -> None:
+        source = ScriptedSource()
+        source.items.put(frame(0))
+        source.items.put(None)
+        grabber = grab(source)
+        seen: list[Frame] = []
+        grabber.start()
+        await asyncio.wait_for(grabber.work(seen.append), 5.0)
+        assert [one.index for one in seen] == [0]
+        await grabber.stop()
+
+        def failing(_: Frame) -> None:
+            raise ZeroDivisionError
+
+        for item, work, expected in (
+            (ValueError("strange"), seen.append, DeviceError),
+            (frame(0), failing, ZeroDivisionError),
+        ):
+            source = ScriptedSource()
+            source.items.put(item)
+            grabber = grab(source)
+            grabber.start()
+            with pytest.raises(expected):
+                await asyncio.wait_for(grabber.work(work), 5.0)
+            await grabber.stop()
+
+    async def test_a_session_that_is_cancelled_ends_it(self) -> None:
+        source = ScriptedSource()
+        grabber = grab(source)
+        grabber.start()
+        working = asyncio.create_task(grabber.work(lambda _: None))
+        await wait_for_reads(source, 1)
+        working.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await working
+        await asyncio.wait_for(grabber.stop(), 5.0)
+        assert not [one for one in threading.enumerate() if one.name.startswith("work camera")]

@@ -78,6 +78,17 @@ def test_a_clock_that_was_set_is_followed_at_once() -> None:
     assert abs(estimator.offset_at(exchange.t3) - moved.offset_ns) < 1_000
 
 
+def test_what_was_known_holds_until_another_clock_has_answered() -> None:
+    """Capture reads it on a thread of its own, at any moment."""
+    estimator = ClockEstimator()
+    estimator.add(Exchange(0, 5_000, 5_000, 1_000))
+    estimator.reset()
+    assert estimator.offset_at(0) == 4_500
+    estimator.add(Exchange(2_000, 9_000_000_000, 9_000_000_000, 3_000))
+    assert estimator.offset_at(2_500) == 9_000_000_000 - 2_500
+    assert estimator.steps == 0
+
+
 def test_impossible_exchanges_are_not_believed() -> None:
     estimator = ClockEstimator()
     assert not estimator.add(Exchange(100, 5_000, 4_000, 200))

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import threading
 import time
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -243,8 +244,6 @@ class CaptureService:
         self._frame_stream: FrameStream | None = None
         self._grabber: Grabber[Frame] | None = None
         self._source: Source | None = None
-        # Detection runs on its own thread, so that the event loop can answer clock and preview queries.
-        self._detecting = ThreadPoolExecutor(1, thread_name_prefix="detect")
         self._building = ThreadPoolExecutor(1, thread_name_prefix="colors")
         self._seen: _Seen | None = None
         self._seen_at = 0.0
@@ -335,10 +334,8 @@ class CaptureService:
             self._seen = None  # a picture of an earlier session is out of date
             self._detector.reset()
             grabber.start()
-            while (frame := await grabber.next_frame()) is not None:
-                await self._process(node, frame)
-                # Released before the wait for the next frame, because it may occupy one of the camera's buffers.
-                del frame
+            # Off the event loop, which answers clock and preview queries meanwhile.
+            await grabber.work(partial(self._process, node, asyncio.get_running_loop()))
         except DeviceError as error:
             # Reported before the device is closed, because closing may take long or hang.
             node.status.error(str(error))
@@ -387,14 +384,14 @@ class CaptureService:
             node.status.error(str(error))
             logger.warning("%s; what rig.toml says holds", error)
 
-    async def _process(self, node: Node, frame: Frame) -> None:
+    def _process(self, node: Node, loop: asyncio.AbstractEventLoop, frame: Frame) -> None:
+        """Find a frame's markers and publish them, on the grabber's thread of work."""
         if self._publisher is None or self._frame_stream is None:
             raise RuntimeError("run before attach")
         height = self._size[1]
         middle_ns = row_time_ns(frame.t_first_row_ns, 0.5 * (height - 1), height, frame.exposure_s, frame.readout_s)
         age_s = (self._clock.now_ns() - middle_ns) / 1e9
-        loop = asyncio.get_running_loop()
-        detections, detect_s = await loop.run_in_executor(self._detecting, self._detect, frame)
+        detections, detect_s = self._detect(frame)
         first_row_ns = node.clock.to_rig_ns(frame.t_first_row_ns)
         message = marker_frame(
             self.instance,
@@ -408,14 +405,17 @@ class CaptureService:
             self._settings.outlines,
         )
         self._publisher.put(message)
+        output_age_s = (node.clock.now_ns() - message.t_ns) / 1e9
         self._frame_stream.offer(frame, first_row_ns)
-        if frame.index % _LOOK_EVERY == 0:
+        latencies = {"frame_age": age_s, "detect": detect_s, "output_age": output_age_s}
+        loop.call_soon_threadsafe(self._note, node, frame.index, latencies)
+
+    def _note(self, node: Node, index: int, latencies: Mapping[str, float]) -> None:
+        node.status.tick("frames")
+        for stage, seconds in latencies.items():
+            node.status.latency(stage, seconds)
+        if index % _LOOK_EVERY == 0:
             self._look_for_colors(node)
-        status = node.status
-        status.tick("frames")
-        status.latency("frame_age", age_s)
-        status.latency("detect", detect_s)
-        status.latency("output_age", (node.clock.now_ns() - message.t_ns) / 1e9)
 
     def _detect(self, frame: Frame) -> tuple[dict[str, Detection], float]:
         begun = time.perf_counter()

@@ -71,6 +71,8 @@ def mark(
     rhot mark --lsl all  triggers of PsychoPy and others that send LSL markers
     rhot mark --gpio 17  rising edges, stamped by the kernel; LABEL names them
     """
+    if label is not None and not label.strip():
+        raise ConfigError('LABEL is empty: say what happened, such as "trial 3"')
     if lsl_name is not None and (label is not None or pin is not None):
         raise ConfigError("--lsl goes with neither LABEL nor --gpio: the labels of a marker stream are its own")
     bus = tool_bus(rig_path, connect, namespace)
