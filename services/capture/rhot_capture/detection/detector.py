@@ -23,7 +23,7 @@ from rhot_capture.detection.corners import find_corners
 from rhot_capture.detection.cutouts import Cutouts
 from rhot_capture.detection.hand.evidence import HandAxis, HandReach, HandScale, SkinContact
 from rhot_capture.detection.hand.sharing import SharedPaints, spot_of
-from rhot_capture.detection.light import Light
+from rhot_capture.detection.light import Light, Paint
 from rhot_capture.detection.result import Decisions, Detection
 from rhot_capture.detection.score import probability
 from rhot_capture.detection.subpixel.batch import find_centres
@@ -103,8 +103,6 @@ class MarkerDetector:
     def detect(self, image: ImageArray) -> dict[str, Detection]:
         """Return the markers detected in a frame; markers that are not visible are absent.
 
-        All are while the colours of another light are tried.
-
         Args:
             image: (H, W, 3) uint8 BGR.
 
@@ -120,10 +118,10 @@ class MarkerDetector:
             if name not in chosen:
                 self._tracks[name].miss()
                 self._shapes.pop(name, None)
-        is_tried = self._light.is_tried
-        if self._light.is_due():
-            self._follow_light(chosen)
-        return {} if is_tried else self._measure(image, chosen)
+        found = self._measure(image, chosen)
+        if self._light.is_due() and self._light.look(self._calibrated, self._paints(image, chosen), self._paints_by):
+            self._table = self._light.on(self._calibrated)
+        return found
 
     @property
     def light(self) -> tuple[float, float]:
@@ -131,14 +129,18 @@ class MarkerDetector:
         red, blue = np.exp(self._light.shift).tolist()
         return red, blue
 
-    def _follow_light(self, chosen: Mapping[str, Candidate]) -> None:
-        paints = [
-            (self._labels[name], self._image[one.blob.window], one.blob.mask)
+    def _paints(self, image: ImageArray, chosen: Mapping[str, Candidate]) -> list[Paint]:
+        return [
+            (self._labels[name], image[one.blob.window], one.blob.mask)
             for name, one in chosen.items()
             if one.blob.border_share == 0.0
         ]
-        if self._light.look(self._calibrated, paints):
-            self._table = self._light.on(self._calibrated)
+
+    def _paints_by(self, table: ColorTable) -> list[Paint]:
+        """Return what would be found in this frame by another table, with no memory of others."""
+        other = MarkerDetector(self._markers, table, *self._size[::-1])
+        other.decide_everywhere(self._image)
+        return self._paints(self._image, other._chosen)
 
     def decide_everywhere(self, image: ImageArray) -> Decisions:
         """Search a whole frame and return the decisions; does not update the tracks.

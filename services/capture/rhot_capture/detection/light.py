@@ -3,14 +3,15 @@
 Light of another colour multiplies red, green and blue of all paints by the same factors (von Kries 1902). The median
 over the paints of how much red and blue have grown against green, since they were calibrated, is what the light did;
 what a single one does, such as paint beside a red sleeve, is not. After a larger step paints are taken for each other,
-or for nothing: where few are what their labels say, other lights are tried, and the one in which most agree is it.
+or for nothing: where few are what their labels say, a frame is searched in other lights, and the one in which most
+agree is it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeAlias
 
 import cv2
 import numpy as np
@@ -18,10 +19,13 @@ import numpy as np
 from rhot.arrays import FloatArray, ImageArray
 from rhot_capture.detection.color_table import ColorTable, in_balance, packed_of, table_colors
 
+Paint: TypeAlias = tuple[int, ImageArray, ImageArray]
+"""A marker's label, pixels (h, w, 3) uint8 BGR and mask (h, w) uint8."""
+
 LOOK_FRAMES: Final = 6
 """Every so many frames the paints are looked at; every frame until the light is known."""
-_LOOKS, _TRIAL_LOOKS = 4, 2
-"""So many looks make a decision, 0.4 s at 60 Hz, and so many frames a trial of another light."""
+_LOOKS: Final = 4
+"""So many looks make a decision: 0.4 s at 60 Hz, 0.07 s until the light is known."""
 _LEAST_PAINTS: Final = 3
 """That agree, and at least half of those seen; fewer may all be in the reflection of one thing."""
 _AGREE: Final = 0.08
@@ -37,10 +41,12 @@ about 2.5."""
 _TINT: Final = 0.25
 """Largest change towards magenta or green. Day and incandescent lamps lie on the line where red grows as blue shrinks
 (Finlayson et al. 1994); what is far from it are paints that are taken for others."""
-_TRIED: Final = tuple(np.array([d, -d]) for d in (0.0, 0.17, -0.17, 0.34, -0.34, 0.51, -0.51))
+_STEP: Final = 0.25
+_TRIED: Final = tuple(_STEP * np.array([n, -n]) for n in (0, 1, -1, 2, -2))
 """Lights to try, on that line. Paints are found in one that is half a step off."""
-_PATIENCE: Final = 4, 256
-"""Decisions in doubt until other lights are tried: at first, and at most, each time doubled."""
+_PATIENCE: Final = 1, 8
+"""Decisions in doubt until other lights are tried: at first, and at most, each time doubled. It takes the time of some
+frames."""
 _DARK: Final = 20.0
 _BRIGHT: Final = 245.0
 """Grey levels between which a channel is used: below, the camera's black level counts."""
@@ -61,90 +67,100 @@ class Light:
         # Of each label: sums of red, green and blue, and their number.
         self._sums: dict[int, list[float]] = {}
         self._patience = self._wait = _PATIENCE[0]
-        # The light that is tried, last, and those that will be.
-        self._to_try: list[FloatArray] = []
-        # The most paints that agreed in a light that was tried, and what they said.
-        self._best: tuple[int, FloatArray] = 0, self.shift
-
-    @property
-    def is_tried(self) -> bool:
-        """Whether the light is one of several that are tried, and what is found in it is not to be believed."""
-        return bool(self._to_try)
 
     def is_due(self) -> bool:
         """Count a frame; return whether its paints are to be looked at."""
         self._frames = (self._frames + 1) % LOOK_FRAMES
-        return self._frames == 0 or self.is_tried or not self._is_known
+        return self._frames == 0 or not self._is_known
 
-    def look(self, table: ColorTable, blobs: Iterable[tuple[int, ImageArray, ImageArray]]) -> bool:
+    def look(self, table: ColorTable, paints: Iterable[Paint], search: Callable[[ColorTable], Iterable[Paint]]) -> bool:
         """Take the paints of a frame; return whether another light is to be used.
 
         Args:
             table: of the calibration.
-            blobs: of each marker its label, pixels (h, w, 3) uint8 BGR and mask (h, w) uint8.
+            paints: found in the light in use.
+            search: finds those of the same frame by another table.
         """
-        for label, pixels, mask in blobs:
-            # Pixels at the rim are mixed with what is beside them.
-            core = cv2.erode(mask, _CORE, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-            # Those that are cut off at white have another colour than the paint.
-            core = cv2.bitwise_and(core, cv2.inRange(pixels, (0.0,) * 3, (_BRIGHT,) * 3))
-            blue, green, red, _ = cv2.mean(pixels, core)
-            if green:
-                sums = self._sums.setdefault(label, [0.0, 0.0, 0.0, 0.0])
-                for place, value in enumerate((red, green, blue, 1.0)):
-                    sums[place] += value
+        _add(self._sums, paints)
         self._looks += 1
-        if self._looks < (_TRIAL_LOOKS if self.is_tried else _LOOKS):
+        if self._looks < _LOOKS:
             return False
         looked, self._sums, self._looks = self._sums, {}, 0
         before = self.shift
-        moved = _moved(table, looked)
-        if self.is_tried:
-            self._try_next(moved)
-        else:
-            self._decide(moved, len(table.names))
+        explained = self._follow(_moved(table, looked))
+        if explained < _LEAST_PAINTS <= len(table.names) and self._has_waited():
+            self._try_others(table, explained, search)
         return self.shift is not before
 
-    def _decide(self, moved: FloatArray, markers: int) -> None:
+    def _follow(self, moved: FloatArray) -> int:
+        """Follow what most paints say, and return how many are explained: all that are needed where none is strange."""
         shift = _said(moved, self.shift)
         has_changed = bool((np.abs(shift - self.shift) > _LEAST).any())
         if has_changed:
             self.shift = shift
         explained = _near(moved, self.shift, _EXPLAINED)
-        self._is_known = not has_changed and (self._is_known or explained >= _LEAST_PAINTS)
-        # Few markers are no reason to doubt: the hand may be half out of view.
-        all_explained = 0 < explained == int((~np.isnan(moved).all(axis=1)).sum())
-        if explained >= _LEAST_PAINTS or all_explained or markers < _LEAST_PAINTS:
-            self._patience = self._wait = _PATIENCE[0]
-            return
-        self._wait -= 1
-        if not self._wait:
-            self._patience = self._wait = min(2 * self._patience, _PATIENCE[1])
-            self._best = explained, self.shift
-            self._to_try = list(_TRIED)
-            self.shift = self._to_try[-1]
+        # Few markers are no reason to doubt: the hand may be half out of view, or its paint half hidden.
+        seen = int((~np.isnan(moved).all(axis=1)).sum())
+        if explained >= _LEAST_PAINTS or 0 < explained == seen:
+            self._is_known = not has_changed and (self._is_known or explained >= _LEAST_PAINTS)
+            self._patience = self._wait = max(self._patience - 1, _PATIENCE[0])
+            return _LEAST_PAINTS
+        self._is_known = False
+        return explained
 
-    def _try_next(self, moved: FloatArray) -> None:
-        shift = _said(moved, self.shift)
-        agree = _near(moved, shift, _AGREE)
-        if agree > self._best[0] and agree >= _LEAST_PAINTS:
-            self._best = agree, shift
-        self._to_try.pop()
-        self.shift = self._to_try[-1] if self._to_try else self._best[1].copy()
+    def _has_waited(self) -> bool:
+        self._wait -= 1
+        if self._wait:
+            return False
+        self._patience = self._wait = min(2 * self._patience, _PATIENCE[1])
+        return True
+
+    def _try_others(self, table: ColorTable, explained: int, search: Callable[[ColorTable], Iterable[Paint]]) -> None:
+        """Take the light in which most paints agree, more than are explained by the one in use."""
+
+        def found_in(shift: FloatArray) -> tuple[int, FloatArray]:
+            sums: dict[int, list[float]] = {}
+            _add(sums, search(_in_light(table, shift)))
+            moved = _moved(table, sums)
+            said = _said(moved, shift)
+            return _near(moved, said, _AGREE), said
+
+        others = [tried for tried in _TRIED if (np.abs(tried - self.shift) > 0.5 * _STEP).any()]
+        agree, said = max(map(found_in, others), key=lambda found: found[0])
+        if agree > max(explained, _LEAST_PAINTS - 1):
+            self.shift = said
 
     def on(self, table: ColorTable) -> ColorTable:
         """Return a table of the calibration for pictures in this light."""
-        if not self.shift.any():
-            return table
-        red, blue = np.exp(-self.shift).tolist()
-        there = packed_of(in_balance(table_colors(), (red, 1.0, blue)))
-        return replace(
-            table,
-            labels=table.labels[there],
-            likelihoods=table.likelihoods[there],
-            faint=table.faint[there],
-            skin=None if table.skin is None else table.skin[there],
-        )
+        return _in_light(table, self.shift)
+
+
+def _in_light(table: ColorTable, shift: FloatArray) -> ColorTable:
+    if not shift.any():
+        return table
+    red, blue = np.exp(-shift).tolist()
+    there = packed_of(in_balance(table_colors(), (red, 1.0, blue)))
+    return replace(
+        table,
+        labels=table.labels[there],
+        likelihoods=table.likelihoods[there],
+        faint=table.faint[there],
+        skin=None if table.skin is None else table.skin[there],
+    )
+
+
+def _add(sums: dict[int, list[float]], paints: Iterable[Paint]) -> None:
+    """Add the mean red, green and blue of paints, and their number, to the sums of their labels."""
+    for label, pixels, mask in paints:
+        # Pixels at the rim are mixed with what is beside them.
+        core = cv2.erode(mask, _CORE, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        # Those that are cut off at white have another colour than the paint.
+        core = cv2.bitwise_and(core, cv2.inRange(pixels, (0.0,) * 3, (_BRIGHT,) * 3))
+        blue, green, red, _ = cv2.mean(pixels, core)
+        if green:
+            of_label = sums.setdefault(label, [0.0, 0.0, 0.0, 0.0])
+            for place, value in enumerate((red, green, blue, 1.0)):
+                of_label[place] += value
 
 
 def _moved(table: ColorTable, sums: dict[int, list[float]]) -> FloatArray:
