@@ -22,7 +22,7 @@ from rhot_capture.detection.color_table import ColorTable, in_balance, packed_of
 Paint: TypeAlias = tuple[int, ImageArray, ImageArray]
 """A marker's label, pixels (h, w, 3) uint8 BGR and mask (h, w) uint8."""
 
-LOOK_FRAMES: Final = 6
+_LOOK_FRAMES: Final = 6
 """Every so many frames the paints are looked at; every frame until the light is known."""
 _LOOKS: Final = 4
 """So many looks make a decision: 0.4 s at 60 Hz, 0.07 s until the light is known."""
@@ -70,7 +70,7 @@ class Light:
 
     def is_due(self) -> bool:
         """Count a frame; return whether its paints are to be looked at."""
-        self._frames = (self._frames + 1) % LOOK_FRAMES
+        self._frames = (self._frames + 1) % _LOOK_FRAMES
         return self._frames == 0 or not self._is_known
 
     def look(self, table: ColorTable, paints: Iterable[Paint], search: Callable[[ColorTable], Iterable[Paint]]) -> bool:
