@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from running.rig_processes import Processes
-from wall_clock import in_time
 
 import rhot
 from rhot.bus import Bus
@@ -157,4 +156,4 @@ async def test_triggers_of_an_lsl_stream_are_marked_when_they_were_stamped(rig, 
     assert [event.label for event in events] == list(sent)
     assert {event.source for event in events} == {"lsl"}
     off_s = [1e-9 * abs(event.t_ns - sent[event.label]) for event in events]
-    in_time(1e3 * sorted(off_s)[-2], 1.0, "the last but one; one reading of the clocks may be interrupted", "ms")
+    assert sorted(off_s)[-2] < 1e-3, "one reading of the clocks may be interrupted"

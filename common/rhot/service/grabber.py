@@ -64,8 +64,7 @@ class Grabber(Generic[F]):
         self._name = name
         self._frames = frames
         self._close = close
-        self._lock = threading.Lock()
-        self._came = threading.Condition(self._lock)
+        self._changed = threading.Condition(threading.Lock())
         self._stopping = threading.Event()
         self._frame: F | None = None
         self._error: Exception | None = None
@@ -82,7 +81,7 @@ class Grabber(Generic[F]):
     @property
     def counts(self) -> GrabberCounts:
         """Counts so far; may be read from any thread."""
-        with self._lock:
+        with self._changed:
             return self._counts
 
     async def open(self, function: Callable[[], None], limit_s: float = OPEN_LIMIT_S) -> None:
@@ -112,7 +111,7 @@ class Grabber(Generic[F]):
         while True:
             # Cleared before the slot is looked at: a frame that arrives in between sets it again.
             self._wake.clear()
-            with self._lock:
+            with self._changed:
                 frame, ended = self._take()
             if frame is not None or ended:
                 return frame
@@ -145,9 +144,9 @@ class Grabber(Generic[F]):
             HungDeviceError: the driver has not returned by then; the device is free again only after this process.
         """
         begun = time.monotonic()
-        with self._came:
+        with self._changed:
             self._stopping.set()
-            self._came.notify_all()
+            self._changed.notify_all()
         # The frame in work may lie in the device's memory.
         await _ended(self._worker, begun + limit_s)
         try:
@@ -157,7 +156,7 @@ class Grabber(Generic[F]):
             _LOG.warning("%s", error)
         finally:
             self._device.end()
-            with self._lock:
+            with self._changed:
                 self._frame = None
                 self._ended = True
             self._notify()
@@ -189,12 +188,12 @@ class Grabber(Generic[F]):
             done.set_result(None)
 
     def _next(self) -> F | None:
-        with self._came:
+        with self._changed:
             while not self._stopping.is_set():
                 frame, ended = self._take()
                 if frame is not None or ended:
                     return frame
-                self._came.wait()
+                self._changed.wait()
         return None
 
     def _run(self) -> None:
@@ -206,15 +205,15 @@ class Grabber(Generic[F]):
                 if self._stopping.is_set():
                     break
         except Exception as error:
-            with self._lock:
+            with self._changed:
                 self._error = error
         finally:
-            with self._lock:
+            with self._changed:
                 self._ended = True
             self._notify()
 
     def _store(self, frame: F) -> None:
-        with self._lock:
+        with self._changed:
             counts = self._counts
             gap = 0 if self._last_index is None else max(0, frame.index - self._last_index - 1)
             self._counts = GrabberCounts(
@@ -226,8 +225,8 @@ class Grabber(Generic[F]):
 
     def _notify(self) -> None:
         if self._worker is not None:
-            with self._came:
-                self._came.notify_all()
+            with self._changed:
+                self._changed.notify_all()
             return
         if self._loop is None or self._wake is None:
             return
