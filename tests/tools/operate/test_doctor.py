@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import datetime as dt
 from pathlib import Path
 
@@ -78,6 +79,29 @@ async def test_a_running_rig_of_feet_alone_needs_no_fusion(tmp_path: Path, route
         await until_known(router, "ik/main")
         findings = await check_running(router, rig)
     assert [finding.text for finding in findings if finding.level == "bad"] == ["feet/main is not running"]
+
+
+async def test_a_camera_is_at_fault_after_seconds_without_pictures_not_after_one(
+    rig_folder: Path, router: BusConfig
+) -> None:
+    """A busy machine may leave a second without a picture."""
+    rig = load_rig(rig_folder)
+    async with await Bus.open(router) as bus:
+        publisher = bus.publisher("rhot/status/capture/left", ServiceStatus)
+
+        def publish(rate_hz: float) -> None:
+            rates = {"frames": rate_hz}
+            publisher.put(ServiceStatus(t_ns=1, service="capture", instance="left", state="running", rates=rates))
+
+        publish(0.0)
+        bus.alive("rhot/alive/capture/left")
+        await until_known(router, "capture/left")
+        asyncio.get_running_loop().call_later(1.0, publish, 15.0)
+        findings = await check_running(router, rig)
+        assert not [finding for finding in findings if "gets no pictures" in finding.text]
+        publish(0.0)
+        finding = about(await check_running(router, rig), "gets no pictures")
+    assert (finding.level, "capture/left" in finding.text) == ("bad", True)
 
 
 def test_the_size_of_a_mesh_is_shown_and_a_bad_file_is_bad(rig_folder: Path) -> None:

@@ -9,6 +9,7 @@ import os
 import platform
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
@@ -156,6 +157,8 @@ _CLEARLY_OBLONG_M: Final = 0.008
 """From this difference of its sides on, the corners of a patch fit only the two orders that are half a turn apart."""
 _MAX_CONFUSION: Final = 0.05
 """Of a paint that may be taken for another one; `rhot calibrate colors` warns from there on."""
+_NO_PICTURES_S: Final = 4.0
+"""A camera without pictures for as long is at fault; a busy machine may leave a second without any."""
 _MAX_CLOCK_UNCERTAINTY_S: Final = 0.002
 
 
@@ -395,12 +398,27 @@ def _summary(name: str, file: CalibrationFile) -> str:
     return text
 
 
+async def _fetch_status(bus: Bus) -> tuple[set[str], dict[str, ServiceStatus]]:
+    """Return who is alive and the last status of each; cameras without pictures get a few seconds to send one."""
+    alive, statuses = await fetch_status(bus)
+    until = time.monotonic() + _NO_PICTURES_S
+    while (idle := [name for name, status in statuses.items() if _is_idle(status)]) and time.monotonic() < until:
+        await asyncio.sleep(0.5)
+        _, latest = await fetch_status(bus)
+        statuses |= {name: latest[name] for name in idle if name in latest}
+    return alive, statuses
+
+
+def _is_idle(status: ServiceStatus) -> bool:
+    return status.state == "running" and status.rates.get("frames") == 0.0
+
+
 async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
     """Look at the running rig: router, services, clocks, errors."""
     where = ", ".join(config.connect)
     try:
         async with await Bus.open(config, timeout_s=1.0) as bus:
-            alive, statuses = await fetch_status(bus)
+            alive, statuses = await _fetch_status(bus)
             hands = [] if rig is None else await check_hands(bus, rig)
     except BusError:
         remedy = f"rhot up --rig {as_argument(rig.path)}, or rhot sim for a demo" if rig else "rhot sim for a demo"
@@ -465,10 +483,10 @@ def _check_service(name: str, status: ServiceStatus) -> Iterator[Finding]:
             f"{name}: clock known to ± {1e3 * status.clock_uncertainty_s:.1f} ms only",
             "use a cable instead of WiFi; a hand at 1 m/s moves 1 mm a millisecond",
         )
-    late, dropped = status.counts.get("dropped_late", 0), status.rates.get("frames")
+    late = status.counts.get("dropped_late", 0)
     if late and status.uptime_s > 0 and late / status.uptime_s > 0.5:
         yield Finding("warn", f"{name}: {late} frames dropped for lateness", "lower rate_hz, or use a faster Pi")
-    if dropped == 0.0 and status.state == "running":
+    if _is_idle(status):
         yield Finding("bad", f"{name} runs but gets no pictures", "look at the camera's cable and at its log")
 
 
