@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import datetime as dt
-import importlib.util
 import os
-import platform
-import shutil
-import sys
 import time
 from collections.abc import Iterator
 from itertools import combinations
@@ -46,7 +42,7 @@ from rhot.rig.sections import MeshConfig
 from rhot.text import as_argument
 from rhot_bridge.openxr_layer import chain
 from rhot_tools.operate.findings import Finding, check_bus, is_local
-from rhot_tools.operate.packages import check_packages
+from rhot_tools.operate.packages import check_machine, check_packages
 
 # What `rhot doctor` finds out about the floor: is it known, and can it be where `stage.json` says.
 
@@ -145,12 +141,6 @@ def _height(T_stage_rig: FloatArray, point: FloatArray) -> float:
 # `rhot doctor`: what is wrong with this machine, this rig folder and the running rig, and what to do.
 
 _MARK: Final = {"ok": "[green]ok  [/]", "note": "[blue]note[/]", "warn": "[yellow]warn[/]", "bad": "[red]BAD [/]"}
-_ROLES: Final = {
-    "capture": ("rhot_capture", "cv2"),
-    "fusion": ("rhot_fusion", "cv2"),
-    "ik": ("rhot_ik",),
-    "objects": ("rhot_objects",),
-}
 _DISTANCES: Final = ("50 cm", "75 cm", "100 cm")
 """At which `rhot calibrate cameras` states the error to expect."""
 _CLEARLY_OBLONG_M: Final = 0.008
@@ -160,21 +150,6 @@ _MAX_CONFUSION: Final = 0.05
 _NO_PICTURES_S: Final = 4.0
 """A camera without pictures for as long is at fault; a busy machine may leave a second without any."""
 _MAX_CLOCK_UNCERTAINTY_S: Final = 0.002
-
-
-def check_machine() -> Iterator[Finding]:
-    """Look at this machine: Python, roles that are installed, cores, disk."""
-    version = ".".join(map(str, sys.version_info[:3]))
-    yield Finding("ok", f"Python {version} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
-    for role, modules in _ROLES.items():
-        missing = [module for module in modules if importlib.util.find_spec(module) is None]
-        if missing:
-            yield Finding("note", f"role {role}: {', '.join(missing)} not installed", f"pip install 'rhot[{role}]'")
-        else:
-            yield Finding("ok", f"role {role} can run here")
-    free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
-    if free_gb < 1:
-        yield Finding("warn", f"{free_gb:.1f} GB of disk free", "recordings need more")
 
 
 def check_rig(path: Path) -> tuple[Rig | None, list[Finding]]:

@@ -1,11 +1,13 @@
-"""What `rhot doctor` finds missing on this machine for the devices of a rig, with the command that installs it."""
+"""What `rhot doctor` finds on this machine: roles, disk, and what the devices of a rig need that is missing."""
 
 from __future__ import annotations
 
 import ctypes.util
 import importlib.util
 import os
+import platform
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -18,6 +20,28 @@ _PICAMERA2: Final = (
     "python3 -m venv --system-site-packages"
 )
 _RULES: Final = ("etc/udev/rules.d", "lib/udev/rules.d", "usr/lib/udev/rules.d")
+
+_ROLES: Final = {
+    "capture": ("rhot_capture", "cv2"),
+    "fusion": ("rhot_fusion", "cv2"),
+    "ik": ("rhot_ik",),
+    "objects": ("rhot_objects",),
+}
+
+
+def check_machine() -> Iterator[Finding]:
+    """Look at this machine: Python, roles that are installed, cores, disk."""
+    version = ".".join(map(str, sys.version_info[:3]))
+    yield Finding("ok", f"Python {version} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores")
+    for role, modules in _ROLES.items():
+        missing = [module for module in modules if not _has_module(module)]
+        if missing:
+            yield Finding("note", f"role {role}: {', '.join(missing)} not installed", f"pip install 'rhot[{role}]'")
+        else:
+            yield Finding("ok", f"role {role} can run here")
+    free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
+    if free_gb < 1:
+        yield Finding("warn", f"{free_gb:.1f} GB of disk free", "recordings need more")
 
 
 def check_packages(rig: Rig | None, root: Path = Path("/")) -> Iterator[Finding]:
