@@ -75,8 +75,6 @@ def surface_nets(values: FloatArray, axes: list[FloatArray]) -> tuple[FloatArray
     return vertices, np.concatenate(quads)
 
 
-# The skin of a hand: one closed mesh by surface nets over a smooth union of tapered capsules, weighted to the bones.
-
 FOREARM: Final = len(BONES)
 FOREARM_MM: Final = 420.0
 _CELL_MM: Final = 1.5

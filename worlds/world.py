@@ -341,8 +341,6 @@ def random_hand(rng: np.random.Generator) -> Hand:
     )
 
 
-# One world, all of it drawn from a seed: hand, rig, look, timing, motions and boards.
-
 COUNTS: Final = {"G1": 63, "G2": 70, "K": 1, "C": 14}
 """Pairs of each sequence."""
 BOARD: Final = (9, 6, 25.0)

@@ -91,8 +91,6 @@ def load_results(folder: Path) -> dict[str, Results]:
     return {file.stem: read_json_model(file, Results, ConfigError) for file in files}
 
 
-# `rhot evaluate page`: generate the accuracy page and the README's headline figures from result files.
-
 _BEGIN: Final = "<!-- headlines: written by `rhot evaluate page`, do not edit -->"
 _END: Final = "<!-- end of headlines -->"
 _INTRODUCTION: Final = """\

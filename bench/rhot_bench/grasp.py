@@ -152,8 +152,6 @@ def _object_pose(row: dict[str, str], shape: ObjectShape) -> ObjectPose:
     )
 
 
-# `rhot evaluate grasp`: the thesis's grabbing test as figures.
-
 _CYCLE_S: Final = 16.0
 """Of the simulated script: a gesture, a grasp, a gesture."""
 _SHAPES: Final = {"box": 3, "cylinder": 2, "sphere": 1}

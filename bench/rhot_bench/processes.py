@@ -52,8 +52,6 @@ def read_columns(path: Path, names: Sequence[str]) -> dict[str, FloatArray]:
     return table
 
 
-# Long computations that do not depend on each other, on several processors.
-
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 

@@ -149,8 +149,6 @@ def _spots(
     return spots
 
 
-# Fit the score of a detection to simulated pictures, and tell on other seeds whether it means what it says.
-
 FIT_SEEDS: Final = (11, 12, 13, 14, 15)
 CHECK_SEEDS: Final = (21, 22, 23, 24)
 _RIDGE: Final = 0.5

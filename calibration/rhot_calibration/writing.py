@@ -58,9 +58,6 @@ def keyboard(pressed: Callable[[str], None]) -> Iterator[bool]:
             termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
-# Writing what a calibration command found into the rig folder.
-
-
 def write_found(
     console: Console, file: Path, found: BaseModel, then: str, *, before: Path | None = None, dry_run: bool = False
 ) -> None:

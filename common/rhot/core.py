@@ -90,8 +90,6 @@ class Explaining(Protocol):
         ...
 
 
-# The seam between a service's core and whatever drives it.
-
 M_contra = TypeVar("M_contra", bound=Message, contravariant=True)
 C_contra = TypeVar("C_contra", bound=BaseModel, contravariant=True)
 

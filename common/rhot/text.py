@@ -103,8 +103,6 @@ class SparingLog:
             return self._kept_quiet.pop(topic, 0)
 
 
-# Text from outside, made harmless: the one function that stands between the network and terminals, logs and markup.
-
 MOST_CHARACTERS: Final = 2000
 """Longest text from outside that is shown or logged; chosen: about a screen."""
 _HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})

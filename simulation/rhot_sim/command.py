@@ -115,8 +115,6 @@ class WalkerRun(WatchedRun):
         return {"pictures_hz": pictures / seconds, "feet_cores": cores}
 
 
-# `rhot sim`: the whole system on this machine, with simulated cameras, hand and object.
-
 _SIDES: Final[Mapping[str, tuple[Side, ...]]] = {"right": ("right",), "left": ("left",), "both": ("right", "left")}
 """Hands by the choices of --hands; the first one's paints are the rig's own."""
 _NEXT: Final = (

@@ -131,8 +131,6 @@ def _clique(near: BoolArray, chosen: list[int], rest: list[int], count: int) -> 
     return None
 
 
-# `rhot evaluate paints`: how many paints a camera tells apart, and which.
-
 _FEWEST: Final = 5
 _MOST: Final = 12
 """The fingertips of one hand; tips and patches of both, each with a paint of its own."""

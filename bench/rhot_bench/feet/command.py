@@ -301,8 +301,6 @@ def _played(stored: dict[str, Any], run: Run, seed: int) -> Played:
     return Played(run=run, seed=seed, **values)
 
 
-# `rhot evaluate feet`: feet of a simulated person, beside the 2021 thesis's tracker.
-
 HEIGHTS_M: Final = (1.50, 1.60, 1.75, 1.90, 2.00)
 RUNS: Final = {
     run.name: run

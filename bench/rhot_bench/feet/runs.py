@@ -105,8 +105,6 @@ def knee_errors(bodies: Sequence[BodyPose], world: WalkerWorld) -> tuple[FloatAr
     return np.array(errors), backwards
 
 
-# Simulated runs of the foot tracker: one walking person, our tracker and the 2021 thesis's on the same data.
-
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 STEP_S: Final = 0.01
 COMPUTE_S: Final = 0.008

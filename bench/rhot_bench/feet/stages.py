@@ -137,8 +137,6 @@ def _three(values: Sequence[float]) -> str:
     return " / ".join("–" if np.isnan(value) else f"{value:.0f}" for value in values)
 
 
-# The 2021 thesis's 4 tests in each of its 3 stages, as a table and as plots like its figures 5.6 to 5.17.
-
 CellStage = Literal["marker", "depth", "inertial"]
 
 SETTLED_S: Final = 2.0

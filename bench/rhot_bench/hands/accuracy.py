@@ -113,8 +113,6 @@ def _gaps(visible: BoolArray) -> list[tuple[int, int]]:
     return gaps
 
 
-# How well whole hands are solved: joints, angles, limits and steps against a simulated world.
-
 START_NS: Final = 1_700_000_000_000_000_000
 """Rig time of the world's time 0 in generated point sets."""
 _GAP_S: Final = 0.05

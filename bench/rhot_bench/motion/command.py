@@ -288,8 +288,6 @@ def _mean(values: FloatArray) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-# `rhot evaluate motion`: recorded hands before a family of random rigs.
-
 Half = Literal["develop", "held-back"]
 
 STRATA: Final = (

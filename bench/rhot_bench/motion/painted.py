@@ -122,8 +122,6 @@ def _nearest(times: IntArray, wanted: IntArray) -> IntArray:
     return found
 
 
-# What a blob detector sees of painted caps and a patch: the middle of the paint that faces the camera unhidden.
-
 _AROUND: Final = 10
 _BALL: Final = 4
 _CONE: Final = 3

@@ -132,8 +132,6 @@ def _nearest_rotations(M: FloatArray) -> FloatArray:
     return rotations
 
 
-# Recorded hands made whole and plausible: every file as 21 joints at 30 Hz, without the noise of its recorder.
-
 CUTOFF_HZ: Final = 6.0
 _FIT_FRAMES: Final = 120
 _LEAST_S: Final = 0.7

@@ -370,8 +370,6 @@ def _with_object(rng: np.random.Generator, motion: HandMotion, flesh: Flesh) -> 
     return Flesh(flesh.bones_m, flesh.palm_m, middle, axis * float(rng.uniform(0.03, 0.06)), radius)
 
 
-# What the cameras of one rig see of one clip, as marker frames that capture would publish, and the truth beside.
-
 __all__ = ["MARKERS", "START_NS", "MarkerKind", "Tracks", "Truth", "make_tracks"]
 
 

@@ -309,9 +309,6 @@ def _changed_cameras(calibration: dict[str, Any], pixels: _Pixels) -> dict[str, 
     return calibration
 
 
-# `rhot evaluate pictures`: photo-real pictures of a stranger's rig, from calibration to the scored hand.
-
-
 @dataclass(frozen=True, slots=True)
 class Targets:
     """Targets of one sequence: most millimetres, least coverage in percent.

@@ -96,8 +96,6 @@ def saving_rows(
     return (Row("saved by unrolled algebra", 100.0 * saved, "%", least=100.0 * LEAST_SAVING, note=note),)
 
 
-# Capture, fusion and inverse kinematics, each beside what the thesis did, and all of them in a row.
-
 Advance = Callable[[], None]
 
 FROM_S: Final = 0.5

@@ -90,8 +90,6 @@ def _resident_mb(pid: int) -> float:
     return float(found[0]) / 1000.0 if found else float("nan")
 
 
-# What a process holds at a moment: memory, file descriptors, threads, processor time.
-
 if sys.platform == "win32":
     _TICK_S: Final = 0.01  # of nothing: there is no /proc to read
 else:

@@ -120,8 +120,6 @@ class _Link:
         self.times_ms.append((sample.arrived_ns - begun_ns) / 1e6)
 
 
-# How cost grows with markers, cameras, hands and frame rate.
-
 CAMERA_COUNTS: Final = (2, 4, 8)
 _SIDES: Final[tuple[Side, ...]] = ("right", "left")
 RATES_HZ: Final = (30.0, 60.0, 90.0, 120.0)

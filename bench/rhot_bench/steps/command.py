@@ -227,8 +227,6 @@ def _stands(trial: StepTrial) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2) if b - a > _SHORTEST]
 
 
-# `rhot evaluate steps`: feet on recordings of real sensors and real pictures, with what the truth there is.
-
 Advance = Callable[[], None]
 
 MM: Final = 1e3

@@ -142,8 +142,6 @@ def _chosen(costs: Sequence[FloatArray]) -> list[int]:
     return [int(np.argmin(total - cost)) for cost in costs]
 
 
-# A whole recording of one foot by its inertial sensor alone, and how far it is from the truth.
-
 _VERDICTS: Final = {False: MOVING, True: ZeroVelocity(still=True, speed_sigma=0.01, rate=None)}
 _STRAIGHT_M: Final = 0.8
 """Distance from the start at which headings are made equal, as the published figures do."""

@@ -228,8 +228,6 @@ def _worst(values: FloatArray) -> float:
     return float(values.max()) if values.size else float("nan")
 
 
-# `rhot evaluate thesis`: the 2018 thesis's tables with our figures beside them.
-
 _TABLE: Final = "depth_table.csv"
 
 

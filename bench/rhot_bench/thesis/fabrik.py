@@ -400,9 +400,6 @@ def _is_free(low: FloatArray, high: FloatArray, angle: int) -> bool:
     return bool((high[:, angle] > low[:, angle]).any())
 
 
-# The five fingers as one batch of FABRIK chains.
-
-
 def finger_chains(geometry: FingerGeometry) -> Chains:
     """Return the chains of a hand in the frames of `FingerGeometry.in_finger_frames`: knuckle, hinge, hinge.
 

@@ -166,8 +166,6 @@ def _transition(h: float) -> FloatArray:
     return np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
 
 
-# How the 2021 thesis saw feet: the marker's centre and the depth at it, or the nearest blob of depth.
-
 ColorImage = NDArray[np.uint8]
 DepthImage = NDArray[np.uint16]
 

@@ -73,8 +73,6 @@ def simulated_rig(path: Path | None, progress: Progress, seed: int = 1) -> Itera
         yield rig
 
 
-# The whole tracker over simulated pictures, and every figure of it against the truth.
-
 SETTLE_S: Final = 1.0
 MM: Final = 1e3
 

@@ -184,8 +184,6 @@ def _extent_m(world: World, name: str) -> tuple[float, float]:
     return 2.0 * radius_m, max(2.0 * radius_m, _TIP_LENGTH_M)
 
 
-# `rhot evaluate two-hands`: both hands that touch and cross, against the truth.
-
 SIDES: Final[tuple[Side, Side]] = ("right", "left")
 _WRONG_PX: Final = 14.0
 """A blob further than this from its marker's true centre, a fingertip's width in the picture, is not that marker."""

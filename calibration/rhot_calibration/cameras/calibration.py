@@ -97,8 +97,6 @@ def refuse_other_board(reading: PictureReading) -> None:
         )
 
 
-# The whole calibration of the cameras: solved, explained, judged, and ready to be written.
-
 _FOLDS: Final = 3
 
 

@@ -136,8 +136,6 @@ def _errors(calibrated: Calibrated) -> Table:
     return table
 
 
-# `rhot calibrate cameras`.
-
 _UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 

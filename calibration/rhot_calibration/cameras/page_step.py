@@ -107,8 +107,6 @@ def result_tables(found: Calibrated) -> tuple[Figures, ...]:
     )
 
 
-# The page's step that calibrates the cameras, over the functions of `rhot calibrate cameras --live`.
-
 _GOOD: Final = (SessionState.HOLDING, SessionState.ACCEPTED, SessionState.COMPLETE)
 _ADVICE: Final = 4
 _SILENT_S: Final = 2.0

@@ -112,8 +112,6 @@ def read_gray(file: Path) -> GrayImage | None:
         return None
 
 
-# Reading the pictures of a calibration: which camera, which moment, and where the board is.
-
 _MAX_EXPLAINED: Final = 4
 _ENOUGH_FOUND: Final = 0.5
 """Where this share of the pictures shows the stated board, it is the right one."""

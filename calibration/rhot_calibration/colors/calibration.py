@@ -270,8 +270,6 @@ def _rounded(factors: FloatArray) -> Gains:
     return red, green, blue
 
 
-# Colours of all markers from a few picks in pictures: grow regions, fit classes, look for what they mistake.
-
 _MARKER_COMPONENTS: Final = 3
 _PIXELS_PER_COMPONENT: Final = 400
 _BACKGROUND_COMPONENTS: Final = 12

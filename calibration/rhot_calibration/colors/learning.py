@@ -69,9 +69,6 @@ def decoded(camera: str, replies: Sequence[Reply]) -> ImageArray:
     return np.asarray(image, dtype=np.uint8)
 
 
-# Learning colours, for the command and for the page: fitted colours, what the tracker finds with them, advice.
-
-
 @dataclass(frozen=True, slots=True)
 class LearntColors:
     """Fitted colours and what the tracker makes of them.

@@ -100,9 +100,6 @@ def _draw_marker(pdf: Any, cells: Bits, x: float, y: float, side: float) -> None
             pdf.rect(x + start * cell, y + row * cell, (end - start) * cell, cell, style="F")
 
 
-# `rhot calibrate markers`.
-
-
 @click.command()
 @click.argument("file", metavar="FILE.pdf", type=click.Path(path_type=Path, dir_okay=False))
 @rig_option

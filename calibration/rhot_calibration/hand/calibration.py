@@ -266,8 +266,6 @@ def _figure(value_m: float, sd_m: float, prior_sd_m: float) -> dict[str, Any]:
     return {"mm": round(1e3 * float(value_m), 2), "sd_mm": round(1e3 * float(sd_m), 2), "source": source}
 
 
-# From the point sets of a recording to `hand.json`: finds the phases and the straight fingers, and fits the hand.
-
 SMALLEST_ARC_RAD: Final = np.radians(30.0)
 """A finger that bent less than this at its knuckle does not tell where the knuckle is."""
 MAX_ARC_MISS_M: Final = 0.0025

@@ -243,8 +243,6 @@ async def live_points(bus_config: BusConfig, seconds: float, on_time: Callable[[
     return points
 
 
-# The samples of one hand: what a calibration keeps of a stream of point sets.
-
 FEWEST_SAMPLES: Final = 60
 _SMALLEST_SIGMA_M: Final = 0.0003
 """Points are not believed to be better than this, whatever they say."""

@@ -204,8 +204,6 @@ def headset_file(found: Judged) -> HeadsetFile:
     )
 
 
-# The camera's pose on the headset, fitted to views of one marker that lies still while the head moves.
-
 CORNER_PX: Final = 0.15
 """Least noise of a corner along each axis; what `rhot_feet.marker` states for sharp ones is 0.1 to 0.3."""
 DELAY_SD_S: Final = 0.02

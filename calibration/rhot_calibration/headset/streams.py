@@ -301,8 +301,6 @@ def _rigid_all(R: FloatArray, t: FloatArray) -> list[FloatArray]:
     return [rigid(one, shift) for one, shift in zip(R, t, strict=True)]
 
 
-# Views from a running rig, and from a recording of one.
-
 _HEAD_AHEAD_NS: Final = 100_000_000
 _PICTURES: Final = f"{PICTURES_KEY}/{CAMERA}"
 

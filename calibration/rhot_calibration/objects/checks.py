@@ -67,8 +67,6 @@ def angle_between(first: FloatArray, second: FloatArray) -> float:
     return float(2.0 * np.arcsin(min(chord, 1.0)))
 
 
-# What a registration must stand: places that determine it, and a result that can be true.
-
 LEAST_PLACES = 3
 _LEAST_SPREAD_M = 0.03
 """Root mean square distance of the places from their middle, along their longest direction."""

@@ -193,8 +193,6 @@ def report(console: Console, fit: RegistrationFit, prior: Estimate | None) -> No
     )
 
 
-# `rhot calibrate objects`.
-
 _UNKNOWN_LEVER_SD_M: Final = 0.05
 """A marker sits on a tracker of 10 cm, somewhere."""
 _PATIENCE_S: Final = 15.0

@@ -138,9 +138,6 @@ class PlaceCollector:
         )
 
 
-# Places from a running rig: the marker from `rhot/points`, the device from `rhot/object/<id>`.
-
-
 Taken = Callable[[PosePair], None]
 
 

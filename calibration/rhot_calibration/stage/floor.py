@@ -95,8 +95,6 @@ def _examined(payload: bytes, board: Board) -> tuple[tuple[int, int], BoardView 
     return (gray.shape[1], gray.shape[0]), detect_board(gray, board)
 
 
-# From a desk or a registration to the stage: right-handed, metres, y up, −z forward, origin on the floor.
-
 Forward = Literal["down", "up", "left", "right"]
 FORWARDS: Final[tuple[Forward, ...]] = get_args(Forward)
 DESK_SOURCE: Final = "desk board"

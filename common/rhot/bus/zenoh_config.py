@@ -54,9 +54,6 @@ class LimitCounts:
             return dict(self._counts)
 
 
-# The Zenoh configuration of a session: limits, timeouts and, on a secured bus, certificates and who may do what.
-
-
 def session_config(config: BusConfig) -> zenoh.Config:
     """Return the Zenoh configuration of a session.
 

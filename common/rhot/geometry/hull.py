@@ -55,8 +55,6 @@ class Region(NamedTuple):
         )
 
 
-# Convex bodies as planes: how far points lie outside of them, and what they look like.
-
 _APART_DEG: Final = range(1, 91)
 """Angles that normals are made to keep, until few enough are left; the box's six keep 90° anyway."""
 _PARALLEL: Final = 1e-6

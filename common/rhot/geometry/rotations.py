@@ -27,8 +27,6 @@ def inverse(T: FloatArray) -> FloatArray:
     return rigid(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])
 
 
-# Rotations of three dimensions; matrices act on column vectors, quaternions are (x, y, z, w).
-
 _IDENTITY: Final = np.eye(3)
 
 _CROSS: Final = np.array(

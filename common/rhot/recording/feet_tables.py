@@ -60,8 +60,6 @@ class SensorSamples(Message):
         return self
 
 
-# The tables beside a depth camera's pictures, each with `t_ns` first.
-
 HEAD_FILE: Final = "head.csv"
 HEAD_HEADER: Final = ("t_ns", "x", "y", "z", "qx", "qy", "qz", "qw")
 SENSOR_HEADER: Final = ("t_ns", "ax", "ay", "az", "gx", "gy", "gz", "qx", "qy", "qz", "qw")

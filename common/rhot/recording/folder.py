@@ -115,8 +115,6 @@ def _frames(track: MarkerTrack, camera: CameraCalibration) -> Iterator[MarkerFra
         )
 
 
-# Finding and validating what lies in a recording folder.
-
 logger = logging.getLogger(__name__)
 
 RECORDING_FILE = "recording.toml"

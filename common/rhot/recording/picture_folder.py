@@ -99,8 +99,6 @@ class PictureStream:
             self._room.release()
 
 
-# Writing pictures of a running rig as a recording folder, which opens whenever the writing ended.
-
 _TAKEN: Final = (".csv", ".toml", *VIDEO_SUFFIXES)
 """Endings of files that mean something in a recording folder; a camera's folder must not be called so."""
 _JPEG: Final = b"\xff\xd8\xff"

@@ -74,8 +74,6 @@ class StampGate:
         return False
 
 
-# The two tables of a recording, `frame,t_ns` and `frame,t_ns,marker,u,v`; errors name file and line.
-
 TIMES_HEADER = ("frame", "t_ns")
 MARKERS_HEADER = ("frame", "t_ns", "marker", "u", "v")
 

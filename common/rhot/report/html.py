@@ -28,8 +28,6 @@ def figures_table(*columns: str, title: str | None = None, names: int = 1) -> Ta
     return table
 
 
-# A report as one HTML file: tables and plots, nothing to load from elsewhere.
-
 _STYLE = """
 body { font-family: sans-serif; max-width: 800px; margin: 2em auto; padding: 0 1em; color: #222; }
 table { border-collapse: collapse; margin: 0.5em 0 1.5em; font-size: 14px; }

@@ -14,8 +14,6 @@ from rhot.messages import Name, Quaternion
 from rhot.messages.base import wire_position, wire_quaternion
 from rhot.rig.file_model import FileModel, Vector3
 
-# What calibration writes into a rig folder: JSON with version, date and its own quality figures.
-
 Row3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]
 Matrix3 = tuple[Row3, Row3, Row3]

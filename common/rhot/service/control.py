@@ -86,8 +86,6 @@ class ControlLink:
             logger.info("%s %s", newest.action, newest.session)
 
 
-# The start signal as a service knows it: the last word wins, however it arrived and whatever the clocks did meanwhile.
-
 MAX_OFF_NS: Final = 60_000_000_000
 """A broadcast whose time is further from now than this is a mistake, a replay or garbage; chosen."""
 _MOST_AHEAD: Final = 1_000_000

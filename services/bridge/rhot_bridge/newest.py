@@ -61,8 +61,6 @@ class Pace:
         self.sent_ns = now_ns
 
 
-# The newest sample of each key, and whether it is sent as it is, kept, faded or omitted.
-
 MOST_KEYS: Final = 64
 """Largest number of keys of one bridge; a rig has about ten."""
 

@@ -77,9 +77,6 @@ class Opened(Generic[T]):
         return things
 
 
-# The interface between the core and another program.
-
-
 class Output(Protocol):
     """Another program as the core sees it; `PacketOutput` combines a target and a link.
 

@@ -179,8 +179,6 @@ class FrameStream(PictureStream):
         )
 
 
-# The capture service: frames in, marker positions out.
-
 _PREVIEW_PARAMETERS: Final = ("overlay", "format", "mask")
 _PREVIEW_WAIT_S: Final = 0.4
 _APPLY_LIMIT_S: Final = 1.5

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from rhot.geometry.camera import CameraModel
 
-# Frames of a depth camera, and the interface between all kinds of depth cameras and the rest of feet.
-
 ColorImage = NDArray[np.uint8]
 DepthImage = NDArray[np.uint16]
 

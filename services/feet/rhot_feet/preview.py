@@ -71,8 +71,6 @@ class FootDetections:
     blobs: DepthObservations
 
 
-# Preview of the depth camera with the detected feet and their predictions.
-
 Color = tuple[int, int, int]
 
 COLORS: Final[dict[Side, Color]] = {"left": (80, 220, 80), "right": (255, 170, 60)}

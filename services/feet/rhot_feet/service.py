@@ -131,8 +131,6 @@ class DepthGrabber(Grabber[DepthFrame]):
             del frame
 
 
-# The feet service: depth camera, ankle sensors and the head's poses in, `rhot/foot/<side>` out.
-
 logger = logging.getLogger(__name__)
 
 HEAD_KEY: Final = "rhot/head"

@@ -204,8 +204,6 @@ def _rig(tracker: Tracker, counts: Mapping[str, int]) -> Explanation:
     )
 
 
-# The fusion core: computes point sets from marker frames.
-
 POINTS_KEY = "rhot/points"
 RIG_FRAME = "rig"
 

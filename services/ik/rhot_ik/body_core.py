@@ -296,8 +296,6 @@ def _angles(R_hips: FloatArray, leg: LegPose, R_foot: FloatArray, outwards: floa
     return np.array([flexion, outwards * abduction, -outwards * rotation, leg.knee_flexion_rad, ankle])
 
 
-# From `rhot/head`, `rhot/foot/<side>` and `rhot/hand/<side>` to `rhot/body`.
-
 BODY_KEY: Final = "rhot/body"
 _ANGLES: Final = tuple(LegAngles.model_fields)
 _STALE_NS: Final = 300_000_000

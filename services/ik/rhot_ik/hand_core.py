@@ -222,8 +222,6 @@ class BlockSmoother:
         return settled
 
 
-# From `rhot/points` to `rhot/hand/<side>`: binds markers to hands and wraps solutions into messages.
-
 _REACH = 1.6
 """No fingertip is further from the back of its hand than this many hand lengths."""
 _NOWHERE: tuple[float, ...] = (math.nan, math.nan, math.nan)

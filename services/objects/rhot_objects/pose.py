@@ -57,8 +57,6 @@ class Registration:
         return self.T_rig_tracker.inverse() @ T_rig_device
 
 
-# Rigid transforms as position and unit quaternion, and the motion between two of them.
-
 _ROTATION_TOLERANCE = 1e-2
 _CONJUGATE = (-1.0, -1.0, -1.0, 1.0)
 _SLERP_LINEAR_ABOVE = 1.0 - 1e-10

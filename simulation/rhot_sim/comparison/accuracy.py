@@ -90,8 +90,6 @@ def coverage(
     )
 
 
-# How far tracked hands, points and objects are from the simulated world's truth.
-
 TIPS: Final = tuple(f"{finger}_tip" for finger in FINGERS)
 _TIP_ROWS: Final = [JOINTS.index(tip) for tip in TIPS]
 

@@ -87,9 +87,6 @@ def stages_text(figures: Mapping[str, Any]) -> str:
     return ", ".join(f"{stage} {100 * share:.0f} %" for stage, share in ranked)
 
 
-# How well a running rig tracks the feet of a simulated person: what is kept of its messages, and the figures.
-
-
 @dataclass(frozen=True, slots=True)
 class FootSample:
     """One foot as it arrived.

@@ -127,8 +127,6 @@ def _degrees(report: Mapping[str, Any]) -> str:
     return f"orientation {number_text(report, 'object_error_deg', 'median', digits=2)}°"
 
 
-# The figures of a simulated run: every number that is printed, under the name that the report gives it.
-
 S = TypeVar("S", HandSample, PointsSample, ObjectSample)
 
 

@@ -83,8 +83,6 @@ def end(child: subprocess.Popen[bytes]) -> None:
         child.wait()
 
 
-# Rendering in a process of its own, as a real camera exposes without asking the Pi's processor.
-
 AHEAD: Final = 16
 """Pictures that may be begun and not yet taken. A quarter of a second at 60 Hz: longer than a machine with two cores is
 busy with something else at a time (6 pictures lost 119 and 143 frames of 3,600 where 16 lost 71 and 92, of which 72 are

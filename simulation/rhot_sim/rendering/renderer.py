@@ -147,8 +147,6 @@ def _wave(x: FloatArray, width: FloatArray, low: float, high: float) -> FloatArr
     return mean
 
 
-# The picture of the simulated world in one camera.
-
 SCALE: Final = 2
 VERTICES: Final = 16
 MAX_MOMENTS: Final = 4

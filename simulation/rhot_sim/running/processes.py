@@ -307,8 +307,6 @@ def free_endpoint(preferred: str) -> str:
     return preferred
 
 
-# The processes of a simulated rig: router, services, and how all of them end together.
-
 _UP_LIMIT_S: Final = 30.0
 
 

@@ -115,8 +115,6 @@ class Stride:
         self._looked = self._late = self._in_time = 0
 
 
-# A simulated camera: renders the world that every other simulated node knows too, in real time.
-
 logger = logging.getLogger(__name__)
 
 _FORGETTING: Final = 0.1

@@ -193,8 +193,6 @@ class Choreographer:
         self.t_s = step.end_s
 
 
-# The path of one foot: standing, steps with heel-off, toe-off, heel strike and foot flat, and poses in the air.
-
 PUSH_SHARE: Final = 0.31
 LAND_SHARE: Final = 0.15
 """Parts of a step, from heel-off to the flat foot, on the ball and on the heel; Perry's phases of a walking cycle with

@@ -64,8 +64,6 @@ def _frame(up: FloatArray, right: FloatArray) -> FloatArray:
     return np.stack([right, y, np.cross(right, y)], axis=-1)
 
 
-# The whole person as a function of time: feet along their paths, hips over them, legs between, head on top.
-
 KNOT_S: Final = 0.1
 SHOE_M: Final = 0.022
 """Thickness of the shoes' soles."""

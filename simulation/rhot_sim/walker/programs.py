@@ -170,8 +170,6 @@ def near(place: Print, rng: np.random.Generator, spread_m: float) -> Print:
     return Print(place.x + x, place.z + z, place.yaw + float(rng.normal(0.0, 0.03)))
 
 
-# The programs: what the simulated person can be asked to do.
-
 Bends = list[tuple[float, float, float]]
 
 _STATIONARY_S: Final = 30.0

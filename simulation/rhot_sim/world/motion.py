@@ -64,9 +64,6 @@ def bump(t: FloatArray, start: float, end: float, edge: float) -> FloatArray:
     return rising
 
 
-# What moves in the simulated world: the seam behind which scripted motion and joint recordings stand.
-
-
 @dataclass(frozen=True, slots=True)
 class MotionSample:
     """Everything that moves at N moments, rig frame.

@@ -128,8 +128,6 @@ def _sway(t: FloatArray, rng: Random, envelope: FloatArray) -> FloatArray:
     return sway
 
 
-# The scripted motion: gestures and grasps that follow from the seed alone, for as long as anybody asks.
-
 KNOT_S: Final = 0.1
 CYCLE_S: Final = 4.0 * GESTURE_S
 CYCLE_KNOTS: Final = round(CYCLE_S / KNOT_S)

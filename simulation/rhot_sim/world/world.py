@@ -163,8 +163,6 @@ def _tremor(t: FloatArray, rng: np.random.Generator) -> FloatArray:
     return tremor
 
 
-# The simulated world: what is where at any moment, from seed and time alone.
-
 HEAD: Final = "head"
 """The object that is the headset."""
 

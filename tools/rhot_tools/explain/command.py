@@ -127,9 +127,6 @@ def published_then(moment: Moment, trace: Trace) -> list[Explanation]:
     return tables
 
 
-# `rhot explain`: how one moment of a recording was tracked and why, as an HTML page.
-
-
 def _time(_: click.Context, __: click.Parameter, text: str) -> float:
     """Return seconds, or nanoseconds as an exact integer."""
     try:

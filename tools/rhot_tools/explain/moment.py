@@ -101,8 +101,6 @@ def _lines(pairs: Mapping[str, list[tuple[float, float]]]) -> dict[str, Line]:
     return {name: (values[:, 0], values[:, 1]) for name, values in ((n, np.array(p)) for n, p in pairs.items())}
 
 
-# The part of a recording up to a time.
-
 M = TypeVar("M", bound=Message)
 
 _LATEST_ARRIVAL_NS: Final = 1_000_000_000

@@ -175,8 +175,6 @@ def coordinates_deg(frames: Frames) -> dict[str, FloatArray]:
     return columns
 
 
-# Everything that moves, read at common moments: files of biomechanics hold frames at one steady rate.
-
 MAX_GAP_S: Final = 0.1
 """Longest pause between two poses that is bridged: a hand that turns back with 10 m/s² leaves the straight line by
 a·t²/8 = 12 mm in it."""

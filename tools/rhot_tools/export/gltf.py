@@ -219,8 +219,6 @@ class Document:
         return {**self.content, **({"buffers": [buffer]} if self._buffer else {})}
 
 
-# What moves in a recording as one animated glTF scene: metres, each at the times of its own poses.
-
 _COLORS: Final = {
     "hand_right": (0.85, 0.55, 0.45),
     "hand_left": (0.45, 0.55, 0.85),

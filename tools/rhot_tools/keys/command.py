@@ -139,8 +139,6 @@ def _rig_config(text: bytes) -> RigConfig:
         raise ConfigError(f"the bundle's {RIG_FILE} is not TOML: {error}") from error
 
 
-# `rhot keys`: certificates for a secured bus.
-
 _GIVEN = tuple(role for role in get_args(RoleKind) if role != "router")
 
 

@@ -174,8 +174,6 @@ def _pair(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey, end: d
     return Pair(certificate.public_bytes(serialization.Encoding.PEM), private, end.date().isoformat())
 
 
-# Making certificates for a rig: all at once, one more, one less.
-
 PORT: Final = 7447
 _LOCAL: Final = ("127.0.0.1", "::1", "localhost")
 

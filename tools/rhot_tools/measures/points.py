@@ -73,8 +73,6 @@ def covariance_of(point: Point) -> FloatArray:
     return np.array(stated_covariance(point.covariance, point.sigma)).reshape(3, 3)
 
 
-# Points against the truth: errors, jitter, swapped and false points, speed.
-
 FALSE_M: Final = 0.020
 """A measured point with no true marker this near is a false one."""
 SWAP_M: Final = 0.010

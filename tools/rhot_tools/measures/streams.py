@@ -110,8 +110,6 @@ def _correlation(u: FloatArray, x: FloatArray, clean: NDArray[np.bool_], lag: in
     return total
 
 
-# Figures of recorded marker streams without a truth: steps, delay, noise where the hand rests.
-
 REST_FRAMES: Final = 15
 """A marker rests while it stays within `REST_PX` in every view over this many frames."""
 REST_PX: Final = 2.0

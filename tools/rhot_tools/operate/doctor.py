@@ -138,8 +138,6 @@ def _height(T_stage_rig: FloatArray, point: FloatArray) -> float:
     return float(T_stage_rig[1, :3] @ point + T_stage_rig[1, 3])
 
 
-# `rhot doctor`: what is wrong with this machine, this rig folder and the running rig, and what to do.
-
 _MARK: Final = {"ok": "[green]ok  [/]", "note": "[blue]note[/]", "warn": "[yellow]warn[/]", "bad": "[red]BAD [/]"}
 _DISTANCES: Final = ("50 cm", "75 cm", "100 cm")
 """At which `rhot calibrate cameras` states the error to expect."""

@@ -70,8 +70,6 @@ def _part(track: Track, rows: NDArray[np.intp]) -> Track:
     return replace(track, frames=track.frames[rows], t_ns=track.t_ns[rows])
 
 
-# What belongs to a recording of messages: the pictures beside it, the rig folder inside it.
-
 _PART: Final = re.compile(r"-\d{3}$")
 
 

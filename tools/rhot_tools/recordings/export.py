@@ -184,8 +184,6 @@ def _write_bvh(file: Path, motion: ExportedMotion, rate_hz: float | None, *, in_
         console.print(f"{motion.incomplete} poses lack joints and are left out", style="yellow")
 
 
-# `rhot export`: a recording as tables, as an animation, or for a viewer of robots' data.
-
 _FILE = click.Path(path_type=Path, dir_okay=False)
 
 

@@ -106,8 +106,6 @@ def chosen_keys(keys: tuple[str, ...], key_expr: str) -> frozenset[str]:
     return frozenset(chosen)
 
 
-# Recorded messages with today's times, so that live services take them for their own moment.
-
 _TIME_FIELDS: Final = frozenset({"t_ns", "start_t_ns"})
 _SKEW_SAMPLES: Final = 500
 _SKEW_SHARE: Final = 5.0

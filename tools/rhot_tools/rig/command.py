@@ -221,8 +221,6 @@ def _true_distances(
     return found
 
 
-# `rhot evaluate rig`: one's own rig measured as the 2018 thesis measured its own, as one report.
-
 PARTS: Final = ("still", "distance", "latency", "depth", "grasp")
 _PICTURES: Final = 12
 _LOOK_S: Final = 3.0

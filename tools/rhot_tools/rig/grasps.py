@@ -56,8 +56,6 @@ def _posed(truth: Truth, pose: Pose) -> ObjectPose:
     )
 
 
-# How a hand takes hold of an object, with what the tracker itself says its fingertips may be off.
-
 TimeArray = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 _MM: Final = 1e3

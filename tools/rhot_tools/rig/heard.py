@@ -114,8 +114,6 @@ async def pictures_of(bus_config: BusConfig, cameras: Sequence[str], count: int)
     return found
 
 
-# What a rig says for a while: from the running one, or from a recording.
-
 _MODELS: Final[dict[str, type[Message]]] = {
     "rhot/markers/*": MarkerFrame,
     "rhot/points": PointSet,

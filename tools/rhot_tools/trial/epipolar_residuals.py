@@ -83,8 +83,6 @@ class TrackGatherer:
         return result
 
 
-# Detect cameras that have moved since calibration, from pairs of views of the same markers.
-
 PRIOR_SD_RAD = np.radians(2.0)
 """Prior of the rotation: a bump turns a camera by a few degrees at most."""
 _BEHIND: Final = 0.5

@@ -187,9 +187,6 @@ def _pair_json(pair: PairReport, seen: SeenTracks) -> dict[str, Any]:
     }
 
 
-# `rhot evaluate calibration`.
-
-
 def _board(ctx: click.Context, param: click.Parameter, text: str | None) -> Board | None:
     # How large the squares are does not matter to epipolar lines.
     return None if text is None else parse_board(text, 0.025)

@@ -104,8 +104,6 @@ def triangulated(xy: FloatArray, P: FloatArray) -> FloatArray:
     return found
 
 
-# The offline reference: a cubic spline per camera and marker through the row times, and triangulation.
-
 _SHORTEST: Final = 4
 """A cubic needs four points; shorter tracks are left out."""
 

@@ -170,9 +170,6 @@ class Triangulation:
         return error, jacobian, depth
 
 
-# State of each marker: position, velocity, and gating of new points.
-
-
 class MarkerStates:
     """States of M markers.
 

@@ -119,9 +119,6 @@ class PairedConfig:
         return cls(config, checked(PairedOptions, options, "fusion"))
 
 
-# The 1-euro filter for arrays of points, each with its own time.
-
-
 @dataclass(frozen=True, slots=True)
 class OneEuroSettings:
     """Parameters of the filter.

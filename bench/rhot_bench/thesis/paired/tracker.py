@@ -408,9 +408,6 @@ def _one_euro(config: PairedConfig) -> OneEuroSettings:
     return OneEuroSettings(config.options.min_cutoff_hz, config.options.beta, config.options.derivative_cutoff_hz)
 
 
-# The paired methods: evaluate all cameras' tracks at a common time and compute points from them.
-
-
 class PairedTracker:
     """Triangulation, or the depth law, of tracks at common times; see `Tracker`."""
 

@@ -268,9 +268,6 @@ def _foot_shapes(board: Board, page: tuple[float, float], y: float) -> list[Shap
     return shapes
 
 
-# `rhot calibrate board`.
-
-
 @click.command()
 @click.argument("file", metavar="FILE.pdf|FILE.svg", type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--board", "counts", default="9x6", show_default=True, help="Inner corners along and across.")

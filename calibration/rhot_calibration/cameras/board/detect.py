@@ -85,8 +85,6 @@ def _crossing(share: FloatArray, level: float) -> FloatArray:
     return fraction
 
 
-# Finding a calibration board in one picture, and saying what else is in it when the board is not.
-
 MIN_CHARUCO_CORNERS: Final = 6
 MIN_MARKERS: Final = 3
 _LAYOUT_LIMIT: Final = 0.25  # RMS distance of the markers from where the board has them, in squares

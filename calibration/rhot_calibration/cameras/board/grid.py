@@ -123,8 +123,6 @@ def _dictionary_name(text: str) -> str:
     return name
 
 
-# Chessboard corners of one picture as a grid: finding, refining, ordering, and looking past its edges.
-
 GrayImage = NDArray[np.uint8]
 
 MIN_SIDE_PX: Final = 32  # OpenCV's finder fails below about 11 pixels

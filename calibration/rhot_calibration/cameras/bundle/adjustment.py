@@ -287,8 +287,6 @@ _UNDETERMINED = (
     "tilted by 20 to 40 degrees in all directions"
 )
 
-# From views and a rough placement to adjusted geometry: what `bundle` needs, built and taken apart by name.
-
 Key = tuple[str, int]
 BoardStand = tuple[int, str]
 """Where the board stood: number of the pictures, and a camera's name where that camera's picture is on its own."""

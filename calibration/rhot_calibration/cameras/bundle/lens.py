@@ -93,8 +93,6 @@ def residuals_of(geometry: Geometry, observations: Observations) -> FloatArray:
     return np.where(observations.seen[..., None], error, 0.0)
 
 
-# The pinhole camera with Brown–Conrady distortion, projected together with its derivatives.
-
 LENS_NAMES: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 """Order of a lens's parameters; the last five are OpenCV's order of distortion coefficients."""
 LENS_SIZE: Final = len(LENS_NAMES)

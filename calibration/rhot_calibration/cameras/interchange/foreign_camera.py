@@ -74,8 +74,6 @@ def _rotation(value: Any, place: str) -> FloatArray:
     return rotation(value, place)
 
 
-# One camera as another program's file describes it, checked value by value.
-
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 _ROTATION_TOLERANCE = 1e-3
 

@@ -263,8 +263,6 @@ def _size(file: Path, entries: Mapping[str, Value]) -> tuple[int, int] | None:
     return picture_size(entries[width], entries[height], f"{file}: {width}, {height}")
 
 
-# Calibrations of other programs to `cameras.json`, and back to OpenCV's files.
-
 MAX_BASELINE_M = 20.0
 MIN_BASELINE_M = 0.005
 

@@ -34,8 +34,6 @@ async def preview_of(
     return None, replies[0].error if replies else "no answer to the query for its image"
 
 
-# What somebody who holds a board sees of the session: maps of the pictures, bars, what to do next.
-
 _BAR_CELLS: Final = 10
 _WIDE_UP_TO: Final = 4
 """With more cameras than this, a cell of the map is one character wide instead of two."""

@@ -92,8 +92,6 @@ def _draw(component: ColorComponent, count: int, rng: np.random.Generator) -> Fl
     return samples
 
 
-# Fitting normal distributions in log-ratio space to colour samples, and telling how well two can be told apart.
-
 MARKER_FLOOR: Final = (0.06, 0.06, 0.22)
 """Least σ of a marker's class: light changes between calibration and use, mostly its strength."""
 COUNTER_FLOOR: Final = (0.05, 0.05, 0.10)

@@ -137,8 +137,6 @@ def quality_as_plain(quality: Mapping[str, MarkerQuality], apart: Separability) 
     return plain
 
 
-# How well the colours can be told apart by the very table that the tracker uses.
-
 SKIN: Final = "skin"
 BACKGROUND: Final = "background"
 NOTHING: Final = "nothing"

@@ -12,8 +12,6 @@ from rhot.errors import ConfigError
 # Pictures that stand still, and which marker somebody clicked where in them.
 
 
-# Where the markers are in the pictures, as people say it: a place on a marker, or a rectangle around one.
-
 _NUMBER: Final = r"\s*([-+]?\d+(?:\.\d+)?)\s*"
 _PICTURE: Final = r"(?:@\s*(.+?)\s*)?"
 _PICK: Final = re.compile(rf"([^=]+)={_NUMBER},{_NUMBER}{_PICTURE}")

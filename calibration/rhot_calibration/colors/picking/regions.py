@@ -123,8 +123,6 @@ def _largest(fits: BoolArray) -> BoolArray:
     return filled > 0
 
 
-# From a pick near a marker to the marker's own pixels.
-
 SEARCH_PX: Final = 12
 _PATCH_PX: Final = 2
 _WINDOWS_PX: Final = (60, 130)

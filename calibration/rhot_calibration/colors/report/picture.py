@@ -149,8 +149,6 @@ def _advice(found: Suggestion, light: Illumination) -> str:
     )
 
 
-# The picture that shows a person how well the colours came out: overlay, masks, ratios and the table of confusion.
-
 _WIDTH: Final = 1280
 _OVERLAYS: Final = 4
 _MASK_COLUMNS: Final = 4

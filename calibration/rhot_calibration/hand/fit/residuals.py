@@ -166,8 +166,6 @@ def fit(evidence: Residuals, parameters: HandParameters, x: FloatArray, typed_le
     return HandFit(np.asarray(found.x * PRIOR_SD), np.asarray(covariance))
 
 
-# What straight fingers tell of a hand: residuals of the samples in which it is flat or bent at the knuckles only.
-
 SIGMA_FLAT_RAD: Final = np.radians([[15.0, 15.0], [6.0, 8.0], [6.0, 4.0], [6.0, 8.0], [6.0, 8.0]])
 """Mean flexion and abduction of the flat hand's fingers; the thumb lies where it likes."""
 _SIGMA_MODEL_M: Final = 0.0003

@@ -21,8 +21,6 @@ from rhot_calibration.objects.touch.fit import OffsetFit, Touch, fit_offset
 # round. A sphere is touched anywhere.
 
 
-# What touches must stand: enough of them to tell where the object is, and no face mistaken for another.
-
 LARGEST_OFF_M = 0.006
 """A touch further from its face contradicts: eight standard deviations of a fingertip, and less than half the edge of
 anything that a hand takes hold of."""

@@ -20,8 +20,6 @@ from rhot_objects.pose import Pose
 # `registration.json` with the offset that touches told.
 
 
-# Taking touches from two live streams: the fingertip and the device, when both are held still to each other.
-
 _TIP_STILL_M = 0.0015
 """Distance between the tip's mean places in the first, middle and last third. A finger that rests on something moves by
 tenths of a millimetre, one that hovers drifts by centimetres a second. Of halves, two are alike where it turns back."""

@@ -70,8 +70,6 @@ def touches_recorded(
                 taken(touch)
 
 
-# What `rhot calibrate objects --touch` does.
-
 _PATIENCE_S: Final = 15.0
 
 

@@ -24,8 +24,6 @@ from rhot_objects.pose import Pose, Registration
 # Touches on a running rig: the fingertip from `rhot/hand/<side>`, the device from `rhot/object/<id>`.
 
 
-# Messages of hand and object to the samples that a collector takes; live and from a recording alike.
-
 TOUCHES_A_FACE: Final = 4
 """One near each corner of a box's face; of a surface that goes all round, thrice as many."""
 _ROUND: Final = 3

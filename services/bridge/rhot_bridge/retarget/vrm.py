@@ -68,8 +68,6 @@ def faded(quaternions: FloatArray, weight: float) -> FloatArray:
     return unit
 
 
-# Converts OpenXR's joints to a VRM avatar's bones.
-
 _SEGMENTS: Final = ("Proximal", "Intermediate", "Distal")
 _DIAGONAL: Final = np.sqrt(0.5)
 

@@ -85,8 +85,6 @@ def joints_of(name: str, tracked: Tracked) -> tuple[str, ...]:
     return tuple(BODY_PARENTS) if isinstance(tracked, Body) else (name,)
 
 
-# LSL (Lab Streaming Layer): a stream of type `MoCap` for each hand, body, foot, object and the headset.
-
 try:
     import pylsl
 except RuntimeError as error:

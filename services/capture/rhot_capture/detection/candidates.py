@@ -96,8 +96,6 @@ def _off_mixtures(color: FloatArray, paint: FloatArray, around: FloatArray) -> f
     return float(np.partition(off, nearest)[nearest])
 
 
-# Decide which blobs can be a marker, and rate their plausibility.
-
 MIN_PLAUSIBILITY: Final = 0.1
 """Blobs with a lower plausibility are not reported."""
 MIN_SOLIDITY: Final = 0.5

@@ -105,8 +105,6 @@ def _joined(sized: list[tuple[int, Region]]) -> list[Region]:
     return joined
 
 
-# Track of a marker in one camera: a soft preference for blobs near the predicted position.
-
 _MEMORY_FRAMES: Final = 10
 """Frames without the marker after which the track is dropped; chosen: a sixth of a second at 60 Hz."""
 _GATE_MIN_PX: Final = 25.0

@@ -72,8 +72,6 @@ def choose_mode(modes: Sequence[Mapping[str, Any]], camera: CameraConfig, name: 
     return min(usable, key=cost)
 
 
-# Raspberry Pi cameras through picamera2, with all automatic functions switched off.
-
 logger = logging.getLogger(__name__)
 
 _FORMATS: Final = ("RGB888", "BGR888")

@@ -69,9 +69,6 @@ def _read_video(track: VideoTrack) -> Iterator[ImageArray]:
         capture.release()
 
 
-# Recorded images or video, replayed at the original rate.
-
-
 class RecordedSource:
     """Replays one camera of a recording like a live camera.
 

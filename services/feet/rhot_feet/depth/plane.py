@@ -181,8 +181,6 @@ class PixelRays:
         return PointGrid(snapped, points, (z >= depth_range_m[0]) & (z <= depth_range_m[1]))
 
 
-# The plane that the depth image sees inside a marker.
-
 INVERSE_DEPTH_SIGMA: Final = 0.004
 """Per pixel, 1/m: a D435 at 848x480 (focal length 425 px, baseline 50 mm) with 0.085 px of disparity noise."""
 CORRELATED_PX: Final = 50.0

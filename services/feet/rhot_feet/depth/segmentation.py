@@ -127,8 +127,6 @@ def _visible(points: FloatArray, grid: PointGrid, camera: CameraModel, nearer_m:
     return clear
 
 
-# Cutting both feet out of the depth image, together, near their predicted positions.
-
 _ROUNDS: Final = 10
 """Most steps of the search for a centroid; chosen."""
 _FULL_ROUNDS: Final = 4

@@ -180,8 +180,6 @@ def axes(foot: FootPrediction) -> FloatArray:
     return np.eye(3) if foot.R_camera_foot is None else foot.R_camera_foot
 
 
-# The depth stage: position of a foot with an occluded marker, from its blob in the depth image.
-
 DepthRefusal = Literal["unknown", "vague"] | BlobRefusal
 
 _REACH_M: Final = RADIUS_M + 0.06

@@ -77,8 +77,6 @@ def _agree(before: Observation, after: Observation) -> bool:
     return math.sqrt(float(change @ change)) <= reach_m
 
 
-# The filter of one foot: marker, depth image and inertial sensor, each measurement at its own time.
-
 State = TypeVar("State")
 
 _NO_RATE: Final = np.zeros(3)

@@ -138,8 +138,6 @@ class RawImuConverter:
         return self._R
 
 
-# Inertial samples, independent of the sensor's protocol, and the interface of their sources.
-
 GRAVITY_M_S2: Final = 9.81
 """Standard gravity that sensors are scaled to."""
 

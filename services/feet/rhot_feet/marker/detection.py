@@ -125,8 +125,6 @@ def _lines(points: FloatArray, clear: NDArray[np.bool_], outwards: FloatArray) -
     return lines, float((2.0 * scatter / np.sqrt(count)).max()), bool(along.all())
 
 
-# Finding the feet's markers in a picture: where their corners are, and how surely they are markers at all.
-
 MIN_SIDE_PX: Final = 10.0
 """Of a marker's black square: below two pixels a cell (3x3 bits and their border) its bits cannot be told any more."""
 MIN_LIKENESS: Final = 0.8

@@ -103,8 +103,6 @@ def _implausibility(pose: MarkerPose, up_camera: FloatArray | None) -> float:
     return max(0.0, (tilt - _UPRIGHT_RAD) / _UPRIGHT_SIGMA_RAD) ** 2
 
 
-# The marker stage: from a picture to a believed pose per foot.
-
 _BORDER_PX: Final = 3.0
 """Smallest distance of a corner from the image border; closer ones cannot be refined."""
 
@@ -194,8 +192,6 @@ def _depth_agrees(view: SquareView, plane: DepthPlane) -> bool:
     # much.
     return abs(plane.depth_m(xy) - float(z)) <= 4.0 * sigma + 0.04 * float(z)
 
-
-# The marker stage: from a picture to a believed pose per foot.
 
 _CONFIRM_GAP_S: Final = 0.15
 _CONFIRM_STEP_M: Final = 0.03

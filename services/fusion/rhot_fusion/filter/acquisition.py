@@ -124,9 +124,6 @@ class Candidates:
         return initial if believable else None
 
 
-# Track management for the hands of a rig: initialising, relocating and dropping markers.
-
-
 @dataclass(frozen=True, slots=True)
 class TrackedHand:
     """The markers of one hand.

@@ -112,9 +112,6 @@ class PaintCorrection:
         return replace(views, xy=frame.seen_xy + shift, variance=variance)
 
 
-# Fusion by filtering: each camera frame updates all markers of a hand, each at its image row's exposure time.
-
-
 class FilterTracker:
     """The `filter` method; see `Tracker`.
 

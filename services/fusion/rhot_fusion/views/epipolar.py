@@ -145,8 +145,6 @@ class Tracks:
         self._linked.fill(False)
 
 
-# Online estimate of a rig's systematic epipolar residuals since its calibration.
-
 _MEMORY_S = 20.0
 """Time constant of the forgetting: mounts creep over minutes."""
 _PRIOR_SLOPE = 0.03

@@ -94,8 +94,6 @@ def marker_on_palm(model: HandModel, name: str, marker: PaintedMarker) -> FloatA
     return offset + model.palm if JOINTS.index(marker.joint) == JOINTS.index("palm") else offset
 
 
-# Fingers in closed form: from marker centres in the wrist frame to joint angles.
-
 _TABLE: Final = 512
 _CURVE: Final = 128
 """Entries of the table from shortening to curl, and points of the curve that a curling finger describes; chosen."""

@@ -173,8 +173,6 @@ def guesses(direction: FloatArray) -> list[FloatArray]:
     ]
 
 
-# Solver of one hand: initialisation and filtering.
-
 _TIPS_OF_A_PALM: Final = 3
 
 

@@ -129,8 +129,6 @@ def _across(direction: FloatArray) -> FloatArray:
     return axis
 
 
-# Where the hips are when only the head and the feet are seen.
-
 OUTWARDS: Final[Mapping[Side, float]] = {"left": -1.0, "right": 1.0}
 """Direction of a leg from the middle, along the body's +X."""
 

@@ -180,9 +180,6 @@ def hand_axes(side: Side, R_rig_wrist: FloatArray) -> FloatArray:
     return np.stack([out * R_rig_wrist[:, 1], R_rig_wrist[:, 2], out * R_rig_wrist[:, 0]], axis=-1)
 
 
-# The whole upper body from hips, head and tracked hands.
-
-
 def solve_upper_body(
     T_rig_hips: FloatArray, T_rig_head: FloatArray, wrists: Mapping[Side, FloatArray], body: BodyModel
 ) -> dict[str, FloatArray]:

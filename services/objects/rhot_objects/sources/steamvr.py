@@ -70,8 +70,6 @@ def read_space(openvr: Any, system: Any) -> TrackingSpace | None:
         return None
 
 
-# Vive trackers and the headset through SteamVR, by the `openvr` package (pyopenvr).
-
 logger = logging.getLogger(__name__)
 
 _SILENCE_NS: Final = 5_000_000_000

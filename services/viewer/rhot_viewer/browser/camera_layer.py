@@ -62,8 +62,6 @@ def _bytes(rgb: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Rgb:
     return red, green, blue
 
 
-# The cameras in the scene: the lines of their views and their live pictures, in which markers can be clicked.
-
 LINE_COLOR: Final = (120, 150, 190)
 VIEW_COLOR: Final = (48, 58, 74)
 _LINE_M: Final = 0.0012

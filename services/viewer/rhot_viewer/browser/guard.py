@@ -95,8 +95,6 @@ def wants_light(cookies: Sequence[str]) -> bool:
     return False
 
 
-# Access control of viser's server: checks every request by `access`, and every message of a browser.
-
 logger = logging.getLogger(__name__)
 
 _MOST_BROWSERS: Final = 32

@@ -56,8 +56,6 @@ def _wake(buffer: AsyncMessageBuffer) -> None:
     buffer.message_event.set()
 
 
-# The web page's server, and the connected browsers.
-
 logger = logging.getLogger(__name__)
 
 _CLOSE_LIMIT_S: Final = 0.4

@@ -199,8 +199,6 @@ class HandLayer:
         self._bones.show(None if shape is None else shape.bones)
 
 
-# The whole 3D scene of a rig: what stands still is drawn once, what moves with every frame.
-
 SIDES: Final[tuple[Side, ...]] = ("right", "left")
 _HAND_AGE_S: Final = 0.4
 _SLOW_AGE_S: Final = 1.0

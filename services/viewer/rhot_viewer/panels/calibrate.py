@@ -175,8 +175,6 @@ class SimulatedWorld:
         self._motion = motion
 
 
-# The tab that leads through the calibration, step by step.
-
 logger = logging.getLogger(__name__)
 
 _REMARKS_HEIGHT: Final = "5.5em"

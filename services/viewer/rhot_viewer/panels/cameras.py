@@ -180,8 +180,6 @@ class ColorBoundsFolder:
         self._ask(change_to(self._marker.value, BoundsSliders(ends[0], ends[1], ends[2], in_force)))
 
 
-# Sliders that act on the running capture services.
-
 _HELD_S: Final = 0.8
 """A slider that somebody has moved in this time is left alone: it would jump under their finger."""
 _NOTE: Final = "<div style='padding:0.1em 0.8em;font-size:0.9em;color:{color};overflow-wrap:anywhere'>{text}</div>"

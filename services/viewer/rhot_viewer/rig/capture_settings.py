@@ -114,8 +114,6 @@ def merged_change(first: Mapping[str, Any], then: Mapping[str, Any]) -> dict[str
     return merged
 
 
-# Reading and changing the settings of running capture services, through `rhot/config/capture/<camera>`.
-
 _TIMEOUT_S: Final = 0.8
 _KEEP_S: Final = 3.0
 

@@ -98,8 +98,6 @@ class History:
         return Chart(np.arange(1 - self._count, 1, dtype=np.float64), rows)
 
 
-# The newest sample of every key that the page shows, decoded on access.
-
 M = TypeVar("M", bound=Message)
 
 MOVING_KEYS: Final = (

@@ -99,8 +99,6 @@ class PicturePlane:
         return (float(u), float(v)) if s > 0.0 and inside else None
 
 
-# Where the page looks from: upright, at what matters.
-
 OVERVIEW_FOV_RAD: Final = float(np.radians(48.0))
 _CLOSE_M: Final = 0.45
 _HANDS_APART_M: Final = 0.3

@@ -113,8 +113,6 @@ def _shoe_part(
     return Cone(ends, radii, SHOE)
 
 
-# The depth image: rays against floor, legs and marker cards, then what a stereo camera makes of it.
-
 Float32Array = NDArray[np.float32]
 DepthImage = NDArray[np.uint16]
 

@@ -140,8 +140,6 @@ def _within(grid: Grid, m10: float, m01: float, m00: float) -> bool:
     return bool(0.0 <= m10 <= (width - 1) * m00 and 0.0 <= m01 <= (height - 1) * m00)
 
 
-# Grids of similar size in one array: classification into rim, pure paint and surroundings, and sums over these.
-
 Sums = tuple[float, float, float]
 
 # How these were chosen is not recorded; tests/capture/test_simulated_accuracy.py limits the resulting error.

@@ -201,9 +201,6 @@ def local_share(t: CoverageArray, weights: CoverageArray, shape: tuple[int, int]
     return share
 
 
-# Windows of the image that contain a blob each, and the grids on which they are measured.
-
-
 class BlobWindow(NamedTuple):
     """A blob's window of the image.
 

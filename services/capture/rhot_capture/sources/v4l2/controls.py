@@ -96,8 +96,6 @@ class ControlRange:
         return (self.high - self.low) / (self.default - self.low)
 
 
-# Sets a driver's controls and reads each back, because drivers may silently apply another value.
-
 _EXPOSURE_UNIT_S: Final = 1e-4
 _TOLERANCE: Final = 0.1
 _ABSENT: Final = -1.0

@@ -182,8 +182,6 @@ class BufferQuery:
         return buffer
 
 
-# USB and other Video4Linux cameras through OpenCV, with settings locked as far as the driver allows.
-
 _LOG = logging.getLogger(__name__)
 
 _SELECT_LIMIT: Final = ("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")

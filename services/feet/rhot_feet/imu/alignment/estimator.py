@@ -162,9 +162,6 @@ class StepTracker:
         return None
 
 
-# Estimates how an inertial sensor sits on its foot and where its north lies, while the marker is seen.
-
-
 @dataclass(frozen=True, slots=True)
 class _Sighting:
     t_ns: int

@@ -118,8 +118,6 @@ def camera_of(intrinsics: Any) -> CameraModel:
     return pinhole(int(intrinsics.width), int(intrinsics.height), K, coefficients)
 
 
-# Intel RealSense D400 cameras through pyrealsense2: colour, and depth brought onto the colour picture.
-
 _LOG = logging.getLogger(__name__)
 
 _STALLED_AFTER_S: Final = 5.0

@@ -122,8 +122,6 @@ class RecordedDepthSource:
         return passes * len(recording) + index
 
 
-# Reading the depth recording of one camera: colour and depth pictures, their times and the lens.
-
 _COLOR_SUFFIXES = (".jpg", ".jpeg", ".png")
 _DEPTH_SUFFIXES = (".png",)
 

@@ -347,8 +347,6 @@ def encode_binary(
     return SYNC + body + _CRC.pack(binascii.crc_hqx(body, 0xFFFF))
 
 
-# A sensor on a serial port, by the `serial` package (pyserial).
-
 _LOG = logging.getLogger(__name__)
 
 _SILENCE_NS = 2_000_000_000

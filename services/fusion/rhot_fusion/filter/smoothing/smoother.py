@@ -121,8 +121,6 @@ def _rows(alive: BoolArray) -> IndexArray:
     return np.flatnonzero(np.concatenate([np.tile(np.repeat(alive, 3), 2), np.ones(SHARED, dtype=bool)]))
 
 
-# Offline smoothing: the path of each marker, estimated from a whole recording.
-
 _DOUBT = 4.0
 """Squared Mahalanobis distance from the smoothed path beyond which a view's variance is inflated in proportion."""
 

@@ -108,8 +108,6 @@ def within_limits(
     return dx, P
 
 
-# Kalman filter of the whole hand: wrist pose, twenty angles and person-specific parameters from all points.
-
 _TIPS: Final = np.arange(5)
 _BLOCKS: Final = np.arange(7)
 """Five tips, base and rotation: three rows of a measurement each."""

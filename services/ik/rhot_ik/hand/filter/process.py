@@ -115,8 +115,6 @@ def angle_covariance(model: HandModel) -> FloatArray:
     return covariance
 
 
-# Process model of the hand: the state of the estimate, and its prediction over time.
-
 _WRIST_ACCELERATION: Final = 6.0
 """Random acceleration of the wrist, m/s² per √Hz. Hands in the recordings reach 5 to 20 m/s² for some 0.1 s (`rhot
 evaluate motion`); fusion has smoothed the points already, so the wrist is to follow them.
