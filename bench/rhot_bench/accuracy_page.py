@@ -46,7 +46,7 @@ class Run(_Model):
 
 
 class Figure(_Model):
-    """One figure; see `rhot_bench.measures.rows.Row`. None = could not be measured."""
+    """One figure; see `rhot_tools.measures.rows.Row`. None = could not be measured."""
 
     name: str
     value: float | None

@@ -82,29 +82,30 @@ def rig_colors(rig: Rig) -> ColorsFile:
     return nominal_colors({name: (red, green, blue) for name, (blue, green, red) in paints.items()})
 
 
-def true_frames(seed: int, bursts: int, *, faults: bool = True) -> Iterator[TrueFrame]:
+def true_frames(seed: int, bursts: int) -> Iterator[TrueFrame]:
     """Yield bursts of frames of scripted motion, by turns from the rig's cameras.
+
+    Some have bare markers, spots on the desk and more noise.
 
     Args:
         seed: of motion, cameras and faults.
         bursts: how many.
-        faults: with bare markers, spots on the desk and more noise in some bursts.
     """
     rng = np.random.default_rng(seed)
     for burst in range(bursts):
-        rig = simulated_rig(seed, noise_sigma=float(rng.uniform(3.0, 6.0)) if faults else 3.0)
+        rig = simulated_rig(seed, noise_sigma=float(rng.uniform(3.0, 6.0)))
         names = list(rig.config.markers)
         camera = list(rig.config.cameras)[burst % len(rig.config.cameras)]
         model = true_cameras(rig)[camera]
         world = World.from_rig(rig)
-        bare = set(rng.choice(names, int(rng.integers(0, 3)), replace=False)) if faults and burst % 2 else set()
+        bare = set(rng.choice(names, int(rng.integers(0, 3)), replace=False)) if burst % 2 else set()
         renderer = Renderer(
             model, world, rig.config.sim, rig.config.cameras[camera], burst % 2, paints=dict.fromkeys(bare, SKIN)
         )
         coverage = MarkerCoverage(model, world, scale=6, vertices=48)
-        spots = _spots(rng, names) if faults and burst % 3 == 0 else []
+        spots = _spots(rng, names) if burst % 3 == 0 else []
         begin_s = float(rng.uniform(0.0, 120.0))
-        aside = _aside(rng, coverage.at(begin_s)) if faults and burst % 4 == 3 else 0
+        aside = _aside(rng, coverage.at(begin_s)) if burst % 4 == 3 else 0
         for step in range(BURST):
             t_s = begin_s + step / RATE_HZ
             image = renderer.render(t_s, EXPOSURE_S, READOUT_S)

@@ -15,7 +15,7 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -56,13 +56,13 @@ def write_atomic(file: Path, data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def replacing(file: Path, make_error: Callable[[str], Exception] = ConfigError) -> Iterator[Path]:
+def replacing(file: Path) -> Iterator[Path]:
     """Yield the path of an empty file to write; it takes the place of `file` when the block ends without an error.
 
     What is no ordinary file, such as `/dev/null` or a pipe, is written directly.
 
     Raises:
-        ConfigError (or what `make_error` makes of the message): it cannot be written; the old one stays.
+        ConfigError: it cannot be written; the old one stays.
     """
     try:
         if file.exists() and not file.is_file():
@@ -83,7 +83,7 @@ def replacing(file: Path, make_error: Callable[[str], Exception] = ConfigError) 
         sync_folder(file.parent)
     except OSError as error:
         other = error.filename if isinstance(error.filename, str) and not error.filename.endswith(".tmp") else None
-        raise make_error(f"{other or file}: cannot be written: {why(error)}") from error
+        raise ConfigError(f"{other or file}: cannot be written: {why(error)}") from error
 
 
 def _mode_of(file: Path) -> int:

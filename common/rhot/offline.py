@@ -150,11 +150,9 @@ def track(rig: Rig, frames: Iterable[MarkerFrame], feet: PlayedFeet | None = Non
     yield from OfflineTracker(rig, feet).run(frames)
 
 
-def track_smoothly(
-    rig: Rig, frames: Iterable[MarkerFrame], feet: PlayedFeet | None = None
-) -> Iterator[tuple[str, Message]]:
+def track_smoothly(rig: Rig, frames: Iterable[MarkerFrame]) -> Iterator[tuple[str, Message]]:
     """Yield the messages of a recording that is looked back over; see `OfflineTracker`."""
-    yield from OfflineTracker(rig, feet, smooth=True).run(frames)
+    yield from OfflineTracker(rig, smooth=True).run(frames)
 
 
 def _require_paths(rig: Rig) -> None:

@@ -122,9 +122,9 @@ def printable(text: str, limit: int = MOST_CHARACTERS) -> str:
     return "".join(map(_escaped, text))
 
 
-def printable_lines(text: str, limit: int = 20 * MOST_CHARACTERS) -> str:
+def printable_lines(text: str) -> str:
     """Return a text of several lines with each made printable; for errors of ours that quote the end of a log."""
-    return "\n".join(printable(line) for line in text[:limit].split("\n"))
+    return "\n".join(printable(line) for line in text[: 20 * MOST_CHARACTERS].split("\n"))
 
 
 def as_argument(path: str | os.PathLike[str]) -> str:

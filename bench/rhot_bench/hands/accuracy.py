@@ -147,7 +147,6 @@ class HandFigures:
         joints_hidden_mm: the same with one or two tips hidden.
         joints_p95_mm: 95th percentile over all joints and poses.
         angles_deg: root mean square error of each kind of angle, over all fingers, every tip measured.
-        angles_long_deg: the same without the thumb.
         step_mm: largest step of any joint from pose to pose, less the length of its true step; of poses at most 50 ms
             apart.
         step_off_mm: largest difference of a joint's step from its true step, in any direction.
@@ -159,7 +158,6 @@ class HandFigures:
     joints_hidden_mm: float
     joints_p95_mm: float
     angles_deg: dict[str, float]
-    angles_long_deg: dict[str, float]
     step_mm: float
     step_off_mm: float
     beyond_limits_deg: float
@@ -196,7 +194,6 @@ def hand_figures(run: HandRun, model: HandModel, settle_s: float = 0.5) -> HandF
         joints_hidden_mm=_mean(error[partly]),
         joints_p95_mm=float(np.percentile(error[late], 95.0)) if late.any() else float("nan"),
         angles_deg={name: _rms(wrong_deg[full][..., k]) for k, name in enumerate(FINGER_ANGLES)},
-        angles_long_deg={name: _rms(wrong_deg[full][:, 1:, k]) for k, name in enumerate(FINGER_ANGLES)},
         step_mm=float(longer.max()) if longer.size else float("nan"),
         step_off_mm=float(off.max()) if off.size else float("nan"),
         beyond_limits_deg=float(np.degrees(excess.max(initial=0.0))),

@@ -83,7 +83,7 @@ def fit_spread(model: HandModel, chains: FloatArray) -> HandModel:
     return dataclasses.replace(model, angle_min=low, angle_max=high)
 
 
-def fit_rest_frames(model: HandModel, chains: FloatArray, loyalty: float = 0.3) -> HandModel:
+def fit_rest_frames(model: HandModel, chains: FloatArray) -> HandModel:
     """Return the model with the rest frame of each finger as the person's fingers really bend.
 
     All planes in which a finger bends hold its Y axis: the direction that the planes' normals vary least in. X is their
@@ -92,7 +92,6 @@ def fit_rest_frames(model: HandModel, chains: FloatArray, loyalty: float = 0.3) 
     Args:
         model: of the person, with default frames.
         chains: (N, 5, 4, 3) metres, wrist frame.
-        loyalty: to the default Y axis, against frames in which the finger is well bent.
     """
     frames = model.frames.copy()
     bones = np.diff(chains, axis=2)
@@ -105,7 +104,8 @@ def fit_rest_frames(model: HandModel, chains: FloatArray, loyalty: float = 0.3) 
         if weights.sum() < 1.0:
             continue
         scatter = (normals * weights).T @ normals / weights.sum()
-        _, axes = np.linalg.eigh(scatter + loyalty * (np.eye(3) - np.outer(Y0, Y0)))
+        # The default Y axis counts as 0.3 of frames in which the finger is well bent.
+        _, axes = np.linalg.eigh(scatter + 0.3 * (np.eye(3) - np.outer(Y0, Y0)))
         Y = axes[:, 0] * np.sign(axes[:, 0] @ Y0)
         mean = (normals * weights).sum(axis=0)
         X = mean - Y * (mean @ Y)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
@@ -32,51 +31,37 @@ _OFFSET: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Targets:
-    """Targets but those of live tips, which depend on the stratum; millimetres.
-
-    Attributes:
-        start_times: the first half second against the rest.
-        spline_share: `--smooth` against the spline on the same tracks.
-        two_sigma: share of errors within two stated sigma, percent.
-        one_view, hidden_short, hidden_long_grasp: median and p95 of the hand's tips.
-        joints, joints_grasp: mean of the 26 joints with all tips in two views, and in a grasp with two to five hidden.
-        step: beyond true motion on re-appearance.
-    """
-
-    start_times: float = 1.5
-    spline_share: float = 0.9
-    two_sigma: tuple[float, float] = (90.0, 99.0)
-    one_view: tuple[float, float] = (8.0, 20.0)
-    hidden_short: tuple[float, float] = (15.0, 40.0)
-    hidden_long_grasp: tuple[float, float] = (25.0, 60.0)
-    joints: float = 6.0
-    joints_grasp: float = 12.0
-    step: float = 10.0
+# Targets but those of live tips, which depend on the stratum; millimetres, of the hand's tips median and p95.
+_ONE_VIEW: Final = (8.0, 20.0)
+_HIDDEN_SHORT: Final = (15.0, 40.0)
+_HIDDEN_LONG_GRASP: Final = (25.0, 60.0)
+_JOINTS, _JOINTS_GRASP, _STEP = 6.0, 12.0, 10.0
+_TWO_SIGMA: Final = (90.0, 99.0)
+"""Share of errors within two stated sigma, percent."""
+_START_TIMES: Final = 1.5
+"""The first half second against the rest."""
+_SPLINE_SHARE: Final = 0.9
+"""Smoothed points against the spline on the same tracks."""
 
 
-def stratum_sections(stratum: Stratum, results: Sequence[RigResult], targets: Targets | None = None) -> list[Section]:
+def stratum_sections(stratum: Stratum, results: Sequence[RigResult]) -> list[Section]:
     """Return the tables of one stratum: points live, points smoothed, the hand."""
-    targets = targets or Targets()
     points = {method: joined_points([one.points[method] for one in results]) for method in results[0].points}
     cover = {method: 100.0 * float(np.nanmean([one.coverage[method] for one in results])) for method in points}
     hands = {method: joined_hands([one.hands[method] for one in results]) for method in results[0].hands}
     about = f"{stratum.name}, {len(results)} rigs"
     return [
-        Section(f"Points live: {about}", _live_rows(points, cover, stratum, targets)),
-        Section(f"Points smoothed: {about}", _smooth_rows(points, cover, targets)),
-        Section(f"Hand: {about}", _hand_rows(hands, targets)),
+        Section(f"Points live: {about}", _live_rows(points, cover, stratum)),
+        Section(f"Points smoothed: {about}", _smooth_rows(points, cover)),
+        Section(f"Hand: {about}", _hand_rows(hands)),
     ]
 
 
-def _live_rows(
-    points: dict[str, PointErrors], cover: dict[str, float], stratum: Stratum, targets: Targets
-) -> tuple[Row, ...]:
+def _live_rows(points: dict[str, PointErrors], cover: dict[str, float], stratum: Stratum) -> tuple[Row, ...]:
     live, ekf = points["live"], points["ekf"]
     mine, other = _two_views(live), _two_views(ekf)
     rows: list[Row] = []
-    for name, late, times in (("after 0.5 s", True, 1.0), ("first 0.5 s", False, targets.start_times)):
+    for name, late, times in (("after 0.5 s", True, 1.0), ("first 0.5 s", False, _START_TIMES)):
         own, theirs = mine & ((live.age_s >= 0.5) == late), other & ((ekf.age_s >= 0.5) == late)
         limits = [limit * times for limit in stratum.live_mm] if stratum.live_mm else [None, None]
         rows += _spread(f"tips in two views, {name}", live, own, limits, ("plain EKF", ekf, theirs))
@@ -84,7 +69,7 @@ def _live_rows(
     rows += _spread("tips all but unhidden in two views", live, mine & live.clear, [None, None], beside)
     rows += _worst(live, mine, ("plain EKF", ekf, other))
     rows += _raw(live, mine, ("plain EKF", ekf, other))
-    rows += _honesty(live, mine, targets, ("plain EKF", ekf, other))
+    rows += _honesty(live, mine, ("plain EKF", ekf, other))
     rows.append(_coverage(cover["live"], "plain EKF", cover["ekf"]))
     one = (live.views == 1) & (live.marker < 5)
     rows += _spread("tips in one view, as published", live, one, [None, None], ("plain EKF", ekf, ekf.views == 1))
@@ -92,23 +77,23 @@ def _live_rows(
     return tuple(rows)
 
 
-def _smooth_rows(points: dict[str, PointErrors], cover: dict[str, float], targets: Targets) -> tuple[Row, ...]:
+def _smooth_rows(points: dict[str, PointErrors], cover: dict[str, float]) -> tuple[Row, ...]:
     smooth, spline = points["smooth"], points["spline"]
     mine, other = _two_views(smooth), _two_views(spline)
     reached = [_at(spline.error_offset_m[other], share) for share in (50, 95)]
-    limits = [round(targets.spline_share * value, 2) for value in reached]
+    limits = [round(_SPLINE_SHARE * value, 2) for value in reached]
     rows = _spread("tips in two views", smooth, mine, limits, ("spline", spline, other))
     beside = ("spline", spline, other & spline.clear)
     rows += _spread("tips all but unhidden in two views", smooth, mine & smooth.clear, [None, None], beside)
     rows += _worst(smooth, mine, ("spline", spline, other))
     rows += _raw(smooth, mine, ("spline", spline, other))
-    rows += _honesty(smooth, mine, targets, None)
+    rows += _honesty(smooth, mine, None)
     rows.append(_coverage(cover["smooth"], "spline", cover["spline"]))
     rows += _false_points(smooth, ("spline", spline))
     return tuple(rows)
 
 
-def _hand_rows(hands: dict[str, HandErrors], targets: Targets) -> tuple[Row, ...]:
+def _hand_rows(hands: dict[str, HandErrors]) -> tuple[Row, ...]:
     rows: list[Row] = []
     for method, hand in hands.items():
         grasp = np.repeat(hand.grasps[:, None], 5, axis=1)
@@ -116,9 +101,9 @@ def _hand_rows(hands: dict[str, HandErrors], targets: Targets) -> tuple[Row, ...
         known = np.isfinite(hand.hidden_s)
         classes = (
             ("in two views", hand.views >= 2, (None, None)),
-            ("in one view", hand.views == 1, targets.one_view),
-            ("hidden up to 0.5 s", hidden & (hand.hidden_s <= 0.5), targets.hidden_short),
-            ("hidden longer, in a grasp", hidden & (hand.hidden_s > 0.5) & grasp, targets.hidden_long_grasp),
+            ("in one view", hand.views == 1, _ONE_VIEW),
+            ("hidden up to 0.5 s", hidden & (hand.hidden_s <= 0.5), _HIDDEN_SHORT),
+            ("hidden longer, in a grasp", hidden & (hand.hidden_s > 0.5) & grasp, _HIDDEN_LONG_GRASP),
             ("hidden longer, free hand", hidden & (hand.hidden_s > 0.5) & ~grasp, (None, None)),
             ("never seen yet", ~known, (None, None)),
         )
@@ -143,12 +128,12 @@ def _hand_rows(hands: dict[str, HandErrors], targets: Targets) -> tuple[Row, ...
         joints = hand.joints_m * _MM
         seen, held = (hand.views >= 2).all(axis=1), hand.grasps & (lost >= 2)
         rows += [
-            Row(f"{method}, 26 joints, all tips in two views, mean", _mean(joints[seen]), "mm", most=targets.joints),
+            Row(f"{method}, 26 joints, all tips in two views, mean", _mean(joints[seen]), "mm", most=_JOINTS),
             Row(
                 f"{method}, 26 joints, two to five hidden in a grasp, mean",
                 _mean(joints[held]),
                 "mm",
-                most=targets.joints_grasp,
+                most=_JOINTS_GRASP,
             ),
             Row(f"{method}, 26 joints, at any time, mean", _mean(joints), "mm"),
         ]
@@ -157,7 +142,7 @@ def _hand_rows(hands: dict[str, HandErrors], targets: Targets) -> tuple[Row, ...
         largest = float(steps.max()) if steps.size else float("nan")
         rows += [
             Row(f"{method}, step beyond true motion on re-appearance, p95", _at(steps, 95, 1.0), "mm", note=note),
-            Row(f"{method}, the same, largest", largest, "mm", most=targets.step, note=note),
+            Row(f"{method}, the same, largest", largest, "mm", most=_STEP, note=note),
         ]
     return tuple(rows)
 
@@ -213,7 +198,7 @@ def _raw(points: PointErrors, chosen: BoolArray, beside: _Beside) -> list[Row]:
     ]
 
 
-def _honesty(points: PointErrors, chosen: BoolArray, targets: Targets, beside: _Beside | None) -> list[Row]:
+def _honesty(points: PointErrors, chosen: BoolArray, beside: _Beside | None) -> list[Row]:
     def shares(p: PointErrors, c: BoolArray) -> tuple[float, float, float, float]:
         ratio, nees = p.error_m[c] / p.sigma_m[c], p.nees[c]
         if not len(ratio):
@@ -224,7 +209,7 @@ def _honesty(points: PointErrors, chosen: BoolArray, targets: Targets, beside: _
     own = shares(points, chosen)
     other = shares(beside[1], beside[2]) if beside else None
     name = beside[0] if beside else ""
-    least, most = targets.two_sigma
+    least, most = _TWO_SIGMA
     note = "of what is stated as root of the summed variances; nothing removed; the target is 90 to 99 %"
     rows = (
         ("within one stated sigma", own[0], "%", None, None, note),

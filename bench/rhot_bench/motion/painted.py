@@ -183,8 +183,9 @@ def cap_surface(length_m: float, tip_radius_m: float, rear_radius_m: float, bare
     return Surface(points[shown], normals[shown], areas[shown], np.array([0.0, 0.0, behind]))
 
 
-def patch_surface(size_m: tuple[float, float], columns: int = 8, rows: int = 6) -> Surface:
+def patch_surface(size_m: tuple[float, float]) -> Surface:
     """Return a patch across x and along z, facing +y; origin at its middle."""
+    columns, rows = 8, 6
     x = ((np.arange(columns) + 0.5) / columns - 0.5) * size_m[0]
     z = ((np.arange(rows) + 0.5) / rows - 0.5) * size_m[1]
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -43,9 +43,9 @@ class HandShape:
 
     Attributes:
         wrist: (N, 3) metres, rig frame.
-        R: (N, 3, 3) axes of the wrist frame (see `rhot.hand`) as columns.
+        R: (N, 3, 3) axes of the wrist frame (see `rhot.anatomy.hand`) as columns.
         chain: (N, 5, 4, 3) metres: knuckle, two hinges, the very tip.
-        joints: (N, 26, 3) metres, in the order of `rhot.skeleton.JOINTS`; a tip joint lies one radius behind the very
+        joints: (N, 26, 3) metres, in the order of `rhot.anatomy.skeleton`; a tip joint lies one radius behind the very
             tip, as OpenXR has it.
     """
 
@@ -125,7 +125,7 @@ class HandMotion:
 
 
 def _nearest_rotations(M: FloatArray) -> FloatArray:
-    """Return rotations (N, 3, 3) nearest to M (N, 3, 3); see `rhot.rotations.nearest_rotation`."""
+    """Return rotations (N, 3, 3) nearest to M (N, 3, 3); see `rhot.geometry.rotations.nearest_rotation`."""
     U, _, Vt = np.linalg.svd(M)
     U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
     rotations: FloatArray = U @ Vt

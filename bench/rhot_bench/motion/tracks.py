@@ -288,7 +288,7 @@ def _clockwise(corners: FloatArray) -> FloatArray:
 # The hand that is worn on a rig: a clip of a recording, and flesh, paint, patch and object, drawn at random.
 
 _FLESH_MM: Final = ((9.5, 9.5, 8.8), (9.5, 8.5, 7.6), (9.5, 8.6, 7.8), (9.0, 8.0, 7.3), (8.0, 7.2, 6.6))
-"""Radii of the moving bones of a hand of 185 mm, thumb first; the means of `rhot.hand_anatomy.RADII_MM` along each."""
+"""Radii of the moving bones of a hand of 185 mm, thumb first; the means of `hand_proportions.RADII_MM` along each."""
 
 
 def draw_clip(rng: np.random.Generator, data: Path, seconds: float, draw: RigDraw) -> tuple[HandMotion, str, bool]:

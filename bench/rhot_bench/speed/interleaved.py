@@ -62,8 +62,8 @@ def timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - began
 
 
-def interleaved(items: Iterable[T], ways: Mapping[str, Callable[[T], object]], warm_up: int = 5) -> dict[str, Spread]:
-    """Give each item to every way and return their times, without the first items.
+def interleaved(items: Iterable[T], ways: Mapping[str, Callable[[T], object]]) -> dict[str, Spread]:
+    """Give each item to every way and return their times, without the first five items.
 
     The order is another one with each item, always the same ones in every run: what comes after a way that fills the
     processor's caches pays for it.
@@ -77,7 +77,7 @@ def interleaved(items: Iterable[T], ways: Mapping[str, Callable[[T], object]], w
                 began = time.perf_counter()
                 ways[name](item)
                 spent = time.perf_counter() - began
-                if turn >= warm_up:
+                if turn >= 5:
                     seconds[name].append(spent)
     return {name: Spread(np.array(values)) for name, values in seconds.items()}
 
@@ -102,12 +102,10 @@ def lockstep(
     return {name: Spread(np.array(values)) for name, values in seconds.items()}
 
 
-def time_rows(
-    name: str, ours: Spread, unit: str, scale: float, *, most: float | None = None, peer: str = ""
-) -> tuple[Row, Row]:
+def time_rows(name: str, ours: Spread, unit: str, scale: float, *, most: float | None = None) -> tuple[Row, Row]:
     """Return rows of the median, against a target, and of the 95th percentile."""
     return (
-        Row(f"{name}, median", ours.median * scale, unit, most=most, peer=peer),
+        Row(f"{name}, median", ours.median * scale, unit, most=most),
         Row(f"{name}, p95", ours.p95 * scale, unit),
     )
 

@@ -157,14 +157,12 @@ class Capture:
         )
 
 
-def projected_frames(
-    rig: Rig, world: World, from_s: float, to_s: float, noise_px: float = 0.1, seed: int = 0
-) -> Iterator[MarkerFrame]:
-    """Yield marker frames by projecting the true marker centres, with noise; nothing hides anything.
+def projected_frames(rig: Rig, world: World, from_s: float, to_s: float) -> Iterator[MarkerFrame]:
+    """Yield marker frames by projecting the true marker centres, with noise of 0.1 px; nothing hides anything.
 
     For measuring the cost of what comes after capture without rendering.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     cameras: Mapping[str, CameraModel] = true_cameras(rig)
     for moment in moments(rig, from_s, to_s):
         config, model = rig.config.cameras[moment.camera], cameras[moment.camera]
@@ -172,7 +170,7 @@ def projected_frames(
         truth = world.sample(np.array([middle_s])).markers
         uv = model.project(np.array([centre[0] for centre in truth.values()]))
         inside = model.contains(uv)
-        uv += rng.normal(0.0, noise_px, uv.shape)
+        uv += rng.normal(0.0, 0.1, uv.shape)
         first_row_ns = START_NS + round(moment.t_first_row_s * 1e9)
 
         def time_of(row: float, start: int = first_row_ns, height: int = config.height) -> int:

@@ -149,7 +149,6 @@ _STRAIGHT_M: Final = 0.8
 
 def reckon(
     samples: ImuSamples,
-    noise: InertialNoise | None = None,
     detector: ZeroVelocitySettings | None = None,
     still: BoolArray | None = None,
 ) -> FloatArray:
@@ -159,12 +158,11 @@ def reckon(
 
     Args:
         samples: of the whole recording.
-        noise: of the sensor.
         detector: its settings.
         still: (N,) verdict of another detector, to be used instead.
     """
     gravity = np.array([0.0, 0.0, -GRAVITY_M_S2])
-    model = InertialModel(Strapdown(gravity, noise or InertialNoise()), np.eye(3))
+    model = InertialModel(Strapdown(gravity, InertialNoise()), np.eye(3))
     zero_velocity = ZeroVelocityDetector(detector)
     state, refused_s = _at_rest(samples), 0.0
     positions = np.zeros((len(samples), 3))

@@ -93,9 +93,9 @@ def _vectors(table: dict[str, FloatArray], kind: str) -> FloatArray:
     return np.stack([table[f"{kind}{axis}"] for axis in "xyz"], axis=1)
 
 
-def hide_swings(trial: StepTrial, seed: int = 1) -> HiddenSwings:
-    """Follow a foot that is seen only while it stands; `seed` is that of the noise of what is shown."""
-    foot, random = FootFilter(FootFilterSettings(up=(0.0, 0.0, 1.0))), np.random.default_rng(seed)
+def hide_swings(trial: StepTrial) -> HiddenSwings:
+    """Follow a foot that is seen only while it stands, with noise."""
+    foot, random = FootFilter(FootFilterSettings(up=(0.0, 0.0, 1.0))), np.random.default_rng(1)
     shown_s, stood_s, aligned_s, ends_m = -1.0, 0.0, np.inf, []
     for k, t_s in enumerate(trial.t_s.tolist()):
         t_ns = int(trial.samples.t_ns[k])

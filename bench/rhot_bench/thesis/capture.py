@@ -90,20 +90,18 @@ def _largest_contour(mask: ImageArray) -> NDArray[np.int32] | None:
     return largest
 
 
-def rgb_boxes(
-    samples: Mapping[str, NDArray[np.uint8]], others: NDArray[np.uint8], margin: int = 12
-) -> dict[str, RgbBox]:
+def rgb_boxes(samples: Mapping[str, NDArray[np.uint8]], others: NDArray[np.uint8]) -> dict[str, RgbBox]:
     """Return thresholds as a person sets them with sliders: wide about the samples, but clear of everything else.
 
     Args:
         samples: marker name to colours (N, 3) of its paint, BGR.
         others: (M, 3) colours of the picture that are no paint.
-        margin: grey levels beyond the samples where that lets in nothing of `others`.
     """
     boxes = {}
     for name, colors in samples.items():
         low, high = np.percentile(colors.astype(float), (2, 98), axis=0)
-        for slack in (margin, margin // 2, 0):
+        # Grey levels beyond the samples, where that lets in nothing of the others.
+        for slack in (12, 6, 0):
             least, most = np.maximum(low - slack, 0).astype(int), np.minimum(high + slack, 255).astype(int)
             inside = ((others >= least) & (others <= most)).all(axis=1)
             if not inside.any():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -152,19 +152,17 @@ def epipolar_errors(
     return (np.concatenate(errors) if errors else np.empty(0)), len(errors)
 
 
-def expected_errors(
-    adjusted: Adjusted, models: Mapping[str, CameraModel], distances_m: Sequence[float] = DISTANCES_M, seed: int = 0
-) -> list[ExpectedError]:
-    """Return how far off a point in space will be, by drawing calibrations from the covariance.
+def expected_errors(adjusted: Adjusted, models: Mapping[str, CameraModel]) -> list[ExpectedError]:
+    """Return how far off a point in space will be at `DISTANCES_M`, by drawing calibrations from the covariance.
 
     Points on a grid before the reference camera, seen by two cameras or more, are projected with the calibration and
     brought back with a drawn one, once without and once with noise of `MARKER_SIGMA_PX`. The error is one of places
     relative to the rig frame; a common tilt of all of it counts too.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     drawn = [_drawn(adjusted, models, rng) for _ in range(_DRAWS)]
     result = []
-    for distance in distances_m:
+    for distance in DISTANCES_M:
         points = _points_at(next(iter(models.values())), distance)
         seen = np.stack([model.contains(model.project(points)) for model in models.values()])
         kept = seen.sum(axis=0) >= 2

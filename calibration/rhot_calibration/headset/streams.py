@@ -374,13 +374,12 @@ async def _waited(done: asyncio.Event) -> None:
     await done.wait()
 
 
-def views_recorded(path: Path, collector: ViewCollector, step: Callable[[float], None] = lambda _: None) -> None:
+def views_recorded(path: Path, collector: ViewCollector) -> None:
     """Fill a collector from a recording of `rhot record --frames`.
 
     Args:
         path: its folder.
         collector: to fill, with all that is there.
-        step: called with the share of pictures that were looked at.
 
     Raises:
         ConfigError: the recording holds no depth camera or no poses of the head, or a file cannot be read.
@@ -391,12 +390,11 @@ def views_recorded(path: Path, collector: ViewCollector, step: Callable[[float],
     frames = load_depth_recording(recording.depth_camera, complete=recording.complete)
     heads = recorded_heads(recording.depth_camera)
     next_head = 0
-    for index, frame in enumerate(frames.frames()):
+    for frame in frames.frames():
         collector.add_picture(frame.t_ns, collector.find(frame.color), frame.camera)
         while next_head < len(heads) and heads[next_head].t_ns <= frame.t_ns + _HEAD_AHEAD_NS:
             collector.add_head(heads[next_head])
             next_head += 1
-        step((index + 1) / len(frames))
 
 
 def _lens(picture: CameraPicture) -> CameraModel | None:

@@ -160,7 +160,7 @@ def fit_registration(places: Places, prior: Estimate) -> RegistrationFit:
     """Fit a registration.
 
     Args:
-        places: as measured; what cannot be fitted is refused by `registration_checks` before and after.
+        places: as measured; what cannot be fitted is refused by `checks` before and after.
         prior: where to start and what is known beforehand (infinite variances = nothing).
 
     Raises:

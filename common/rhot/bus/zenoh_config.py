@@ -43,10 +43,10 @@ class LimitCounts:
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
 
-    def hit(self, name: str, number: int = 1) -> None:
+    def hit(self, name: str) -> None:
         """Count what a limit kept out; any thread may call it."""
         with self._lock:
-            self._counts[name] += number
+            self._counts[name] += 1
 
     def counts(self) -> dict[str, int]:
         """Return what was kept out so far, by name."""

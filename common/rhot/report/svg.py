@@ -44,13 +44,13 @@ def line_plot(title: str, x_label: str, y_label: str, lines: Mapping[str, tuple[
     return _frame(title, x_label, y_label, x_range, y_range, parts)
 
 
-def histogram(title: str, x_label: str, values: FloatArray, *, bins: int = 60, cut: float = 99.5) -> str:
-    """Return the distribution of finite values up to a percentile; what lies beyond is counted in the last bar."""
+def histogram(title: str, x_label: str, values: FloatArray) -> str:
+    """Return the distribution of finite values; the last half percent is counted in the last bar."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return _frame(title, x_label, "share", (0.0, 1.0), (0.0, 1.0), ["<text x='60' y='120'>no data</text>"])
-    top = float(np.percentile(finite, cut)) or 1.0
-    counts, edges = np.histogram(np.minimum(finite, top), bins, (0.0, top))
+    top = float(np.percentile(finite, 99.5)) or 1.0
+    counts, edges = np.histogram(np.minimum(finite, top), 60, (0.0, top))
     shares = counts / finite.size
     x_range, y_range = (0.0, top), (0.0, float(shares.max()) * 1.05)
     parts = []

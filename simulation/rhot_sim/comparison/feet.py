@@ -27,7 +27,7 @@ from rhot_sim.walker.world import WalkerWorld
 def live_feet_table(
     elapsed_s: float, duration_s: float, figures: Mapping[str, Any], services: RenderableType
 ) -> RenderableType:
-    """Return the table that is shown while the person walks; see `rhot_sim.comparison.table.live_table`."""
+    """Return the table that is shown while the person walks; see `rhot_sim.comparison.figures.live_table`."""
     head = Text.assemble(
         ("RHOT simulated feet", "bold"), f"   {elapsed_s:5.1f} of {duration_s:.0f} s   ", ("Ctrl-C to stop", "dim")
     )

@@ -220,25 +220,17 @@ class Renderer:
         wave = 0.7 * np.sin(2.0 * np.pi * t_s / 23.0 + first) + 0.3 * np.sin(2.0 * np.pi * t_s / 5.3 + second)
         return 1.0 + self._config.light_drift * float(wave)
 
-    def render(
-        self,
-        t_first_row_s: float,
-        exposure_s: float | None = None,
-        readout_s: float | None = None,
-        *,
-        out: Image | None = None,
-    ) -> Image:
+    def render(self, t_first_row_s: float, exposure_s: float | None = None, readout_s: float | None = None) -> Image:
         """Return the picture (height, width, 3), uint8, blue green red.
 
         Args:
             t_first_row_s: start of the first row's exposure, seconds since the world's start.
             exposure_s: exposure of every row; the camera's own when not given.
             readout_s: time from the first to the last row; the camera's own when not given.
-            out: where to draw the picture; a new array when not given.
         """
         exposure = self._camera_config.exposure_s if exposure_s is None else exposure_s
         readout = self._camera_config.readout_s if readout_s is None else readout_s
-        image: Image = np.empty((self.camera.height, self.camera.width, 3), dtype=np.uint8) if out is None else out
+        image: Image = np.empty((self.camera.height, self.camera.width, 3), dtype=np.uint8)
         for scene in self._scenes([t_first_row_s], exposure, readout):
             self._draw(scene, image)
         return image

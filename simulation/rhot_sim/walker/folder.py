@@ -23,7 +23,7 @@ listen = ["{endpoint}"]
 [feet.camera]
 source = "simulated"
 rate_hz = {rate_hz:g}
-pitch_deg = {pitch_deg:g}
+pitch_deg = 20
 
 [feet.left]
 marker_id = 0
@@ -56,7 +56,6 @@ def write_walker_rig(
     seed: int = 1,
     height_m: float = 1.75,
     rate_hz: float = 60.0,
-    pitch_deg: float = 20.0,
     imu_rate_hz: float = 100.0,
     motion: Literal["script", "headset"] = "script",
 ) -> Rig:
@@ -69,7 +68,6 @@ def write_walker_rig(
         seed: of the world.
         height_m: of the person.
         rate_hz: of the camera.
-        pitch_deg: how far the camera looks down from the head.
         imu_rate_hz: of both ankle sensors.
         motion: `headset`: for finding where the camera sits, see `WalkerWorld`.
     """
@@ -80,7 +78,6 @@ def write_walker_rig(
         seed=seed,
         height_m=height_m,
         rate_hz=rate_hz,
-        pitch_deg=pitch_deg,
         imu_rate_hz=imu_rate_hz,
         motion=motion,
     )

@@ -70,14 +70,12 @@ class Plan:
         start: where each foot stands first.
         steps: of each foot, in order.
         posture: of times (N,), seconds, within the period.
-        turn_rad: what the body has turned at the end of the period, whole turns.
     """
 
     period_s: float
     start: dict[Side, Print]
     steps: dict[Side, list[PlannedStep]]
     posture: Callable[[FloatArray], Posture]
-    turn_rad: float = 0.0
 
 
 class Choreographer:
@@ -158,21 +156,18 @@ class Choreographer:
         """Put both feet where they began, with level soles."""
         self.walk([(side, self.start[side]) for side in SIDES], 0.6, level=True)
 
-    def off(self, side: Side, t_s: float, offset: FloatArray, *, velocity: FloatArray | None = None) -> Waypoint:
+    def off(self, side: Side, t_s: float, offset: FloatArray) -> Waypoint:
         """Return a pose in the air relative to where the foot stands now.
 
         Args:
             side: which foot.
             t_s: time since the world's start.
             offset: (6,) right, up, backwards, metres, and yaw, pitch, roll, radians, in the foot's own heading.
-            velocity: (6,) along the same axes; none when not given.
         """
         place = self.prints[side]
-        heading = rotation_y(place.yaw)
         pose = np.array([place.x, self._sole.ankle_height_m, place.z, place.yaw, 0.0, 0.0]) + offset
-        pose[:3] += heading @ offset[:3] - offset[:3]
-        moving = np.zeros(6) if velocity is None else np.concatenate([heading @ velocity[:3], velocity[3:]])
-        return Waypoint(t_s, pose, moving)
+        pose[:3] += rotation_y(place.yaw) @ offset[:3] - offset[:3]
+        return Waypoint(t_s, pose, np.zeros(6))
 
     def on_ball(self, side: Side, t_s: float, heel_up_rad: float) -> Waypoint:
         """Return a foot that stands on its ball where it is, the heel up."""
@@ -182,10 +177,10 @@ class Choreographer:
         ankle += rotation_y(place.yaw) @ self._sole.ball - turned @ self._sole.ball
         return Waypoint(t_s, np.array([*ankle, place.yaw, -heel_up_rad, 0.0]))
 
-    def plan(self, posture: Callable[[FloatArray], Posture], turn_rad: float = 0.0) -> Plan:
+    def plan(self, posture: Callable[[FloatArray], Posture]) -> Plan:
         """Return all that was written, ended by standing; the feet must be where they began."""
         self.pause(0.8)
-        return Plan(np.ceil(self.t_s * 10.0) / 10.0, self.start, self.steps, posture, turn_rad)
+        return Plan(np.ceil(self.t_s * 10.0) / 10.0, self.start, self.steps, posture)
 
     def _append(self, side: Side, step: PlannedStep) -> None:
         self.steps[side].append(step)

@@ -170,9 +170,7 @@ class Person:
         return evaluate_spline(t_s, KNOT_S, self._control)
 
     def _control(self, knot: int) -> FloatArray:
-        turns, place = divmod(knot, self._count)
-        row: FloatArray = self._controls[place].copy()
-        row[YAW] += turns * self._plan.turn_rad
+        row: FloatArray = self._controls[knot % self._count]
         return row
 
     def _hip_joints(self, side: Side, curve: FloatArray) -> FloatArray:

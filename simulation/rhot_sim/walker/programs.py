@@ -1,6 +1,6 @@
 """The programs: what the simulated person can be asked to do.
 
-The first four repeat the stationary tests of the 2021 thesis, the six of `walking_tasks` its walking tasks. Ours are
+The first four repeat the stationary tests of the 2021 thesis, six others its walking tasks. Ours are
 walking on the spot, forwards and backwards, along a narrow curve, over obstacles with knee raises and kicks, squatting
 and kneeling, and a seated person. Every program ends where it began and is repeated.
 """

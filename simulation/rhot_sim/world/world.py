@@ -47,7 +47,7 @@ _CYCLE_KNOTS: Final = round(CYCLE_S / KNOT_S)
 _STREAM: Final = 5
 _SIDES: Final[tuple[Side, Side]] = ("right", "left")
 _HEIGHT_M: Final = 0.13
-"""Of the hands over the desk; the one that crosses above is higher by `_ABOVE_M`."""
+"""Of the hands over the desk; the one that crosses above is 85 to 110 mm higher."""
 _TOUCH_S: Final = (0.5, 4.6)
 _CROSS_S: Final = (5.0, 11.4)
 _LIFT_S: Final = (4.7, 11.7)
@@ -105,7 +105,7 @@ class CrossingMotion:
         finger = int(rng.choice(_TOUCHING))
         above = _SIDES[int(rng.integers(2))]
         # A hand is 30 mm thick, and its bent fingers reach 50 mm below it.
-        lift_m = rng.uniform(*(0.085, 0.11))
+        lift_m = rng.uniform(0.085, 0.11)
         share = rng.uniform(0.4, 1.1)
         meeting = np.array([rng.uniform(-0.05, 0.05), rng.uniform(-0.01, 0.05), self._desk_z_m - _HEIGHT_M])
         taps = 0.5 - 0.5 * np.cos(2.0 * np.pi * rng.uniform(*_TAP_HZ) * (t - _TOUCH_S[0]))

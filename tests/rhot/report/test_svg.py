@@ -30,7 +30,7 @@ def test_lines_lie_in_the_frame_and_break_at_gaps() -> None:
 def test_bars_hold_every_value() -> None:
     values = np.abs(np.random.default_rng(0).normal(0.0, 2.0, 1000))
     values[7] = np.nan
-    root = ElementTree.fromstring(histogram("errors", "mm", values, bins=20))
+    root = ElementTree.fromstring(histogram("errors", "mm", values))
     bars = root.findall(f"{SVG}rect")[1:-1]
     assert len(bars) == 20
     assert float(bars[0].attrib["height"]) > float(bars[15].attrib["height"])

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from rhot.arrays import FloatArray
-from rhot_tools.grasp.pickups import GraspSettings, Pickup, find_pickups, flesh, gaps_m, opposed
+from rhot_tools.grasp.pickups import TOUCH_M, Pickup, find_pickups, flesh, gaps_m, opposed
 from rhot_tools.grasp.session import TIPS, GraspSession
 from rhot_tools.measures.rows import Row, Section
 
 _MM = 1e3
 _HELD_MARGIN_S = 0.15
 """At either end of the carrying, in which fingers still close or already open."""
+_HELD = 0.8
+"""Share of the carrying with thumb and a finger touching that makes it a successful grasp."""
 _GAP = "gap: of the flesh of a fingertip from the surface; negative inside"
 
 
@@ -38,12 +40,11 @@ class GraspFigures:
     success: FloatArray
 
 
-def grasp_figures(session: GraspSession, settings: GraspSettings | None = None) -> GraspFigures:
+def grasp_figures(session: GraspSession) -> GraspFigures:
     """Return the figures of a session."""
-    settings = settings or GraspSettings()
     gaps = gaps_m(session)
-    pickups = find_pickups(session, gaps, settings)
-    touching = opposed(gaps, settings.touch_m)
+    pickups = find_pickups(session, gaps)
+    touching = opposed(gaps, TOUCH_M)
     held = np.array([float(np.mean(touching[_middle(session, each.carry)])) for each in pickups])
     return GraspFigures(
         pickups,
@@ -51,7 +52,7 @@ def grasp_figures(session: GraspSession, settings: GraspSettings | None = None) 
         held,
         np.array([drift_m(session, each.carry) for each in pickups]),
         np.array([_recover_s(session, each) for each in pickups]),
-        (held >= settings.held).astype(np.float64),
+        (held >= _HELD).astype(np.float64),
     )
 
 

@@ -7,6 +7,7 @@ those of the 2018 thesis's grabbing test.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -15,32 +16,22 @@ from rhot.arrays import BoolArray, FloatArray
 from rhot_ik.hand_core import body_of
 from rhot_tools.grasp.session import TIPS, GraspSession
 
-
-@dataclass(frozen=True, slots=True)
-class GraspSettings:
-    """When something counts as moved, near or held.
-
-    Attributes:
-        window_s: over which an object's speed is taken; a tracker's jitter of 0.3 mm then stays far below `moving`.
-        moving_m_s: faster = it moves; a hand that carries something is ten times as fast.
-        pause_s: a shorter stop in the air does not end the carrying.
-        carried_m: farther from where it lay = it was carried, not pushed or jostled.
-        near_m: thumb and a finger nearer to the surface than this are about to close: the opening of a relaxed hand.
-        touch_m: gap up to which a finger counts as touching: three times the error aimed at for a hidden tip (5 mm).
-        reach_s: of the phase before the hand is near.
-        release_s: longest time that letting go may take.
-        held: share of the carrying with thumb and a finger touching that makes it a successful grasp.
-    """
-
-    window_s: float = 0.2
-    moving_m_s: float = 0.03
-    pause_s: float = 0.8
-    carried_m: float = 0.03
-    near_m: float = 0.04
-    touch_m: float = 0.015
-    reach_s: float = 1.0
-    release_s: float = 2.0
-    held: float = 0.8
+TOUCH_M: Final = 0.015
+"""Gap up to which a finger counts as touching: three times the error aimed at for a hidden tip (5 mm)."""
+_NEAR_M: Final = 0.04
+"""Thumb and a finger nearer to the surface than this are about to close: the opening of a relaxed hand."""
+_REACH_S: Final = 1.0
+"""Of the phase before the hand is near."""
+_RELEASE_S: Final = 2.0
+"""Longest time that letting go may take."""
+_WINDOW_S: Final = 0.2
+"""Over which an object's speed is taken; a tracker's jitter of 0.3 mm then stays far below `_MOVING_M_S`."""
+_MOVING_M_S: Final = 0.03
+"""Faster = it moves; a hand that carries something is ten times as fast."""
+_PAUSE_S: Final = 0.8
+"""A shorter stop in the air does not end the carrying."""
+_CARRIED_M: Final = 0.03
+"""Farther from where it lay = it was carried, not pushed or jostled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,28 +63,26 @@ def gaps_m(session: GraspSession) -> FloatArray:
     return gaps
 
 
-def find_pickups(session: GraspSession, gaps: FloatArray, settings: GraspSettings | None = None) -> list[Pickup]:
+def find_pickups(session: GraspSession, gaps: FloatArray) -> list[Pickup]:
     """Return every time that the object was carried while the hand was near.
 
     Args:
         session: hand and object.
         gaps: (N, 26) of `gaps_m`.
-        settings: when something counts as moved or near.
     """
-    settings = settings or GraspSettings()
     t_s = session.t_s
-    near = opposed(gaps, settings.near_m)
+    near = opposed(gaps, _NEAR_M)
     found = []
-    for first, last in _carried(t_s, session.objects[:, :3, 3], settings):
+    for first, last in _carried(t_s, session.objects[:, :3, 3]):
         if not near[first : last + 1].any():
             continue
         begun = first
         while begun > 0 and near[begun - 1]:
             begun -= 1
         away = last
-        while away + 1 < len(t_s) and near[away] and t_s[away] - t_s[last] < settings.release_s:
+        while away + 1 < len(t_s) and near[away] and t_s[away] - t_s[last] < _RELEASE_S:
             away += 1
-        reached = int(np.searchsorted(t_s, t_s[begun] - settings.reach_s))
+        reached = int(np.searchsorted(t_s, t_s[begun] - _REACH_S))
         found.append(
             Pickup(slice(reached, begun), slice(begun, first), slice(first, last + 1), slice(last + 1, away + 1))
         )
@@ -107,28 +96,29 @@ def opposed(gaps: FloatArray, within_m: float) -> BoolArray:
     return together
 
 
-def flesh(names: tuple[str, ...] = ("proximal", "intermediate", "distal", "tip")) -> list[int]:
+def flesh() -> list[int]:
     """Return the joints whose flesh meets an object: those of the fingers, without the palm."""
+    names = ("proximal", "intermediate", "distal", "tip")
     return [JOINTS.index(name) for name in JOINTS if name.rpartition("_")[2] in names]
 
 
-def _carried(t_s: FloatArray, places: FloatArray, settings: GraspSettings) -> list[tuple[int, int]]:
+def _carried(t_s: FloatArray, places: FloatArray) -> list[tuple[int, int]]:
     """Return the first and last pose of every stretch in which the object moved away from where it lay."""
-    half = 0.5 * settings.window_s
+    half = 0.5 * _WINDOW_S
     before = np.searchsorted(t_s, t_s - half)
     after = np.minimum(np.searchsorted(t_s, t_s + half), len(t_s) - 1)
     span_s = np.maximum(t_s[after] - t_s[before], 1e-6)
-    moving = np.linalg.norm(places[after] - places[before], axis=1) / span_s > settings.moving_m_s
+    moving = np.linalg.norm(places[after] - places[before], axis=1) / span_s > _MOVING_M_S
     stretches: list[tuple[int, int]] = []
     for row in np.flatnonzero(moving).tolist():
-        if stretches and t_s[row] - t_s[stretches[-1][1]] <= settings.pause_s:
+        if stretches and t_s[row] - t_s[stretches[-1][1]] <= _PAUSE_S:
             stretches[-1] = stretches[-1][0], row
         else:
             stretches.append((row, row))
     carried = []
     for first, last in stretches:
         lay = places[max(first - 1, 0)]
-        if np.linalg.norm(places[first : last + 1] - lay, axis=1).max() > settings.carried_m:
+        if np.linalg.norm(places[first : last + 1] - lay, axis=1).max() > _CARRIED_M:
             carried.append((first, last))
     return carried
 

@@ -15,7 +15,9 @@ from rhot_tools.measures.points import scatter_m
 # How late a tracked path is, against a truth that is known at any moment.
 
 REACH_S: Final = 0.060
+"""Largest delay looked for, either sign."""
 STEP_S: Final = 0.002
+"""Of the search."""
 _STREAM_REACH: Final = 5
 
 
@@ -25,9 +27,6 @@ def delay_s(
     true_t_s: FloatArray,
     true: FloatArray,
     used: NDArray[np.bool_] | None = None,
-    *,
-    reach_s: float = REACH_S,
-    step_s: float = STEP_S,
 ) -> float:
     """Return the delay at which the truth fits what was found best, seconds; positive = found is late.
 
@@ -38,11 +37,9 @@ def delay_s(
     Args:
         t_s: (N,) times of what was found, rising.
         found: (N, K); NaN = nothing there.
-        true_t_s: (T,) times at which the truth was sampled, rising, reaching `reach_s` beyond both ends of `t_s`.
+        true_t_s: (T,) times at which the truth was sampled, rising, reaching `REACH_S` beyond both ends of `t_s`.
         true: (T, K).
         used: (N, K) which samples count; all finite ones when not given.
-        reach_s: largest delay looked for, either sign.
-        step_s: of the search.
 
     Returns:
         NaN with fewer than ten samples or without motion to tell by.
@@ -50,7 +47,7 @@ def delay_s(
     usable = np.isfinite(found) if used is None else used & np.isfinite(found)
     if int(usable.sum()) < 10:
         return float("nan")
-    lags = np.arange(-round(reach_s / step_s), round(reach_s / step_s) + 1) * step_s
+    lags = np.arange(-round(REACH_S / STEP_S), round(REACH_S / STEP_S) + 1) * STEP_S
     cost = np.array([_mean_square(t_s - lag, found, true_t_s, true, usable) for lag in lags])
     best = int(np.argmin(cost))
     # Rounding of a world that does not move at all is no motion.
@@ -58,7 +55,7 @@ def delay_s(
         return float("nan")
     before, least, after = cost[best - 1 : best + 2]
     bend = before - 2.0 * least + after
-    return float(lags[best] + (0.5 * (before - after) / bend * step_s if bend > 0.0 else 0.0))
+    return float(lags[best] + (0.5 * (before - after) / bend * STEP_S if bend > 0.0 else 0.0))
 
 
 def _mean_square(

@@ -7,7 +7,7 @@ two views from two cameras that lie within a frame period of each other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -15,35 +15,21 @@ from rhot.arrays import FloatArray
 from rhot_bench.motion.references.spline_reference import SplineViews, triangulated
 from rhot_tools.measures.points import MEASURED, ONE_VIEW, PREDICTED, Estimates
 
-
-@dataclass(frozen=True, slots=True)
-class EkfSettings:
-    """Of the plain filter. The first three were set before the tracker was measured, and stay.
-
-    Attributes:
-        acceleration: root of the spectral density of white acceleration, m/s² per √Hz.
-        pixel_px: standard deviation of a view, pixels.
-        gate: largest normalised innovation squared of a view (two degrees of freedom); 100 = ten sigma.
-        velocity_m_s: standard deviation of each component at the start; hands in the recordings reach 1 to 2 m/s.
-        refusals: views refused in a row after which a marker starts again.
-        hold_s: how long a marker is told of after its last view, and followed by one camera alone.
-    """
-
-    acceleration: float = 2.0
-    pixel_px: float = 0.3
-    gate: float = 100.0
-    velocity_m_s: float = 1.0
-    refusals: int = 4
-    hold_s: float = 0.25
-
-
+# Acceleration, pixels and gate were set before the tracker was measured, and stay.
+_ACCELERATION: Final = 2.0
+"""Root of the spectral density of white acceleration, m/s² per √Hz."""
+_PIXEL_PX: Final = 0.3
+"""Standard deviation of a view, pixels."""
+_VELOCITY_M_S: Final = 1.0
+"""Standard deviation of each component at the start; hands in the recordings reach 1 to 2 m/s."""
+_HOLD_S: Final = 0.25
+"""How long a marker is told of after its last view, and followed by one camera alone."""
 _NEAREST_M = 0.1
 """No camera sees a marker that is nearer; it stands before the lens then."""
 
 
 class _Marker:
-    def __init__(self, settings: EkfSettings) -> None:
-        self.settings = settings
+    def __init__(self) -> None:
         self.t_s = 0.0
         self.x: FloatArray | None = None
         self.P = np.zeros((6, 6))
@@ -56,15 +42,15 @@ class _Marker:
         dt = t_s - self.t_s
         F = np.eye(6)
         F[:3, 3:] = dt * np.eye(3)
-        q, size = self.settings.acceleration**2, abs(dt)
+        q, size = _ACCELERATION**2, abs(dt)
         Q = np.kron(np.array([[size**3 / 3.0, dt * size / 2.0], [dt * size / 2.0, size]]), np.eye(3)) * q
         return F @ self.x, F @ self.P @ F.T + Q
 
     def update(self, camera: int, t_s: float, xy: FloatArray, views: SplineViews) -> None:
         """Take one view."""
         others = [seen_s for other, (seen_s, _) in self.last.items() if other != camera]
-        if self.x is not None and t_s - max(others, default=-np.inf) > self.settings.hold_s:
-            # A single view tells nothing of depth, in which white acceleration spreads by decimetres within hold_s.
+        if self.x is not None and t_s - max(others, default=-np.inf) > _HOLD_S:
+            # A single view tells nothing of depth, in which white acceleration spreads by decimetres within `_HOLD_S`.
             self.x, self.last, self.refused = None, {}, {}
         if self.x is None:
             self.last[camera] = (t_s, xy)
@@ -76,17 +62,18 @@ class _Marker:
         H = np.zeros((2, 6))
         H[:, :3] = (R[:2] - np.outer(X[:2] / X[2], R[2])) / X[2]
         innovation = xy - X[:2] / X[2]
-        S = H @ P @ H.T + np.eye(2) * (self.settings.pixel_px / views.focal_px[camera]) ** 2
+        S = H @ P @ H.T + np.eye(2) * (_PIXEL_PX / views.focal_px[camera]) ** 2
         gain = np.linalg.solve(S, H @ P).T
-        if X[2] < _NEAREST_M or innovation @ np.linalg.solve(S, innovation) > self.settings.gate:
+        # Gate: ten sigma.
+        if X[2] < _NEAREST_M or innovation @ np.linalg.solve(S, innovation) > 100.0:
             self.refused[camera] = self.refused.get(camera, 0) + 1
-            if self.refused[camera] > self.settings.refusals:
+            if self.refused[camera] > 4:
                 self.x, self.last, self.refused = None, {camera: (t_s, xy)}, {}
             return
         self.x, self.t_s = x + gain @ innovation, t_s
         # Joseph's form: with depth a thousand times less sure than pixels, P − K·H·P does not stay positive.
         kept = np.eye(6) - gain @ H
-        noise = (self.settings.pixel_px / views.focal_px[camera]) ** 2
+        noise = (_PIXEL_PX / views.focal_px[camera]) ** 2
         self.P = kept @ P @ kept.T + noise * gain @ gain.T
         self.last[camera], self.refused[camera] = (t_s, xy), 0
 
@@ -105,9 +92,9 @@ class _Marker:
         if not _NEAREST_M < depth < 3.0:
             return
         # Views out of step by a time triangulate to a point that is wrong by speed times this, and far more in depth.
-        wrong_m = self.settings.velocity_m_s * apart_s * depth / _baseline(views, list(fresh)) + 0.005
+        wrong_m = _VELOCITY_M_S * apart_s * depth / _baseline(views, list(fresh)) + 0.005
         self.x, self.t_s = np.concatenate([position, np.zeros(3)]), newest
-        self.P = np.diag([wrong_m**2] * 3 + [self.settings.velocity_m_s**2] * 3)
+        self.P = np.diag([wrong_m**2] * 3 + [_VELOCITY_M_S**2] * 3)
 
 
 def _baseline(views: SplineViews, cameras: list[int]) -> float:
@@ -115,17 +102,15 @@ def _baseline(views: SplineViews, cameras: list[int]) -> float:
     return float(np.linalg.norm(centres[0] - centres[-1]))
 
 
-def plain_ekf(views: SplineViews, frames: int, markers: int, settings: EkfSettings | None = None) -> Estimates:
+def plain_ekf(views: SplineViews, frames: int, markers: int) -> Estimates:
     """Return what the filter tells after each marker frame, at the median time of that frame's views.
 
     Args:
         views: in order of arrival.
         frames: number of marker frames.
         markers: number of markers.
-        settings: of the filter.
     """
-    settings = settings or EkfSettings()
-    filters = [_Marker(settings) for _ in range(markers)]
+    filters = [_Marker() for _ in range(markers)]
     origin = int(views.t_ns.min()) if len(views.t_ns) else 0
     rows = []
     for frame in range(frames):
@@ -139,7 +124,7 @@ def plain_ekf(views: SplineViews, frames: int, markers: int, settings: EkfSettin
         t_s = (t_ns - origin) * 1e-9
         for number, one in enumerate(filters):
             ages = sorted(t_s - seen_s for seen_s, _ in one.last.values())
-            if one.x is None or not ages or ages[0] > settings.hold_s:
+            if one.x is None or not ages or ages[0] > _HOLD_S:
                 continue
             recent = sum(age <= 1.5 * float(views.period_s.max()) for age in ages)
             x, P = one.predict(t_s)

@@ -108,21 +108,13 @@ _SHORTEST: Final = 4
 """A cubic needs four points; shorter tracks are left out."""
 
 
-@dataclass(frozen=True, slots=True)
-class SplineSettings:
-    """How far the spline is believed.
-
-    Attributes:
-        gap_periods: frame periods between two views of one camera over which its spline is still read; chosen so that
-            three frames lost in a row (once in 125 at the worst loss of the family, 20 %) do not break it.
-    """
-
-    gap_periods: float = 4.5
+_GAP_PERIODS: Final = 4.5
+"""Frame periods between two views of one camera over which its spline is still read; chosen so that three frames lost
+in a row (once in 125 at the worst loss of the family, 20 %) do not break it."""
 
 
-def spline_reference(views: SplineViews, markers: int, settings: SplineSettings | None = None) -> Estimates:
+def spline_reference(views: SplineViews, markers: int) -> Estimates:
     """Return the points at every row time of every camera at which another camera's spline can be read."""
-    settings = settings or SplineSettings()
     origin = int(views.t_ns.min()) if len(views.t_ns) else 0
     parts: list[tuple[IntArray, IntArray, FloatArray]] = []
     for marker in range(markers):
@@ -136,7 +128,7 @@ def spline_reference(views: SplineViews, markers: int, settings: SplineSettings 
             own = views.camera[of_marker] == camera
             xy[own, camera] = views.xy[of_marker[own]]
             if own.sum() >= _SHORTEST:
-                longest_s = settings.gap_periods * views.period_s[camera]
+                longest_s = _GAP_PERIODS * views.period_s[camera]
                 xy[~own, camera] = _read(t_s[own], views.xy[of_marker[own]], t_s[~own], longest_s)
         found = triangulated(xy, views.P)
         there = np.isfinite(found[:, 0])

@@ -81,11 +81,11 @@ class BundleEquations:
         smallest_sigma_px = 1e-3
         return max(float(np.sqrt(squares / max(coordinates - free, 0.1 * coordinates, 1.0))), smallest_sigma_px)
 
-    def cost(self, geometry: Geometry, residuals: FloatArray, sigma: float, robust: bool) -> float:
+    def cost(self, geometry: Geometry, residuals: FloatArray, sigma: float) -> float:
         """Return what is minimised."""
         distance = np.linalg.norm(residuals, axis=2) / sigma
         terms = np.where(distance <= HUBER, distance**2, 2.0 * HUBER * distance - HUBER**2)
-        total = float(np.sum(terms if robust else distance**2))
+        total = float(np.sum(terms))
         difference, information = self._prior_terms(geometry)
         total += float(np.sum(information * difference**2))
         lenses = geometry.lenses
@@ -213,9 +213,7 @@ class Bundle:
         return rms
 
 
-def adjust(
-    geometry: Geometry, observations: Observations, prior: Prior, *, sigma_px: float = 1.0, robust: bool = True
-) -> Bundle:
+def adjust(geometry: Geometry, observations: Observations, prior: Prior, *, sigma_px: float = 1.0) -> Bundle:
     """Return the geometry that explains the observations best.
 
     Args:
@@ -223,7 +221,6 @@ def adjust(
         observations: of the board.
         prior: what is known beforehand.
         sigma_px: standard deviation of a coordinate to start with; it is re-estimated in every step.
-        robust: weigh large residuals down.
 
     Raises:
         CalibrationError: the views do not determine the parameters.
@@ -231,14 +228,14 @@ def adjust(
     problem = BundleEquations(observations, prior, len(geometry.lenses), len(geometry.board_t))
     damping, sigma = 1e-3, sigma_px
     residuals = residuals_of(geometry, observations)
-    weights = _weights(residuals, sigma, robust)
+    weights = _weights(residuals, sigma)
     for _ in range(_MAX_STEPS):
-        cost = problem.cost(geometry, residuals, sigma, robust)
+        cost = problem.cost(geometry, residuals, sigma)
         H, g = problem.normal_equations(geometry, weights / sigma**2)
         for _attempt in range(12):
             candidate = problem.moved(geometry, _solve(H + damping * np.diag(np.diag(H)), g))
             moved = residuals_of(candidate, observations)
-            new_cost = problem.cost(candidate, moved, sigma, robust)
+            new_cost = problem.cost(candidate, moved, sigma)
             if np.isfinite(new_cost) and new_cost <= cost:
                 break
             damping *= 6.0
@@ -249,16 +246,14 @@ def adjust(
         if cost - new_cost < _DONE * cost and settled:
             break
         sigma = problem.sigma(residuals, weights)
-        weights = _weights(residuals, sigma, robust)
-    weights = _weights(residuals, sigma, robust)
+        weights = _weights(residuals, sigma)
+    weights = _weights(residuals, sigma)
     H, _ = problem.normal_equations(geometry, weights / sigma**2)
     return Bundle(geometry, residuals, weights, sigma, _inverse(H))
 
 
-def _weights(residuals: FloatArray, sigma: float, robust: bool) -> FloatArray:
+def _weights(residuals: FloatArray, sigma: float) -> FloatArray:
     distance = np.linalg.norm(residuals, axis=2)
-    if not robust:
-        return np.ones_like(distance)
     weights: FloatArray = np.minimum(1.0, HUBER * sigma / np.maximum(distance, 1e-12))
     return weights
 

@@ -99,14 +99,11 @@ def mean_transform(transforms: Sequence[FloatArray]) -> FloatArray:
     return rigid(nearest_rotation(stack[:, :3, :3].mean(axis=0)), np.median(stack[:, :3, 3], axis=0))
 
 
-def relate(
-    first: Mapping[int, Sequence[Candidate]], second: Mapping[int, Sequence[Candidate]], least: int = 1
-) -> Relation | None:
+def relate(first: Mapping[int, Sequence[Candidate]], second: Mapping[int, Sequence[Candidate]]) -> Relation | None:
     """Return how two cameras stand to each other, as most of their common pictures say; None without any.
 
     Args:
         first, second: picture number to the board's pose candidates in each camera.
-        least: pictures that have to agree.
     """
     common = sorted(first.keys() & second.keys())
     claims = {
@@ -124,7 +121,7 @@ def relate(
             )
             if best is None or (len(supporters), -error) > best[:2]:
                 best = (len(supporters), -error, T, supporters)
-    if best is None or best[0] < least:
+    if best is None:
         return None
     _, _, T, supporters = best
     chosen = [min(claims[number], key=lambda claim: float(np.abs(claim[0] - T).sum()))[0] for number in supporters]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -31,9 +30,7 @@ from rhot_calibration.writing import write_found
 # Touches from a recording of `rhot record`.
 
 
-def touches_recorded(
-    file: Path, task: TouchTask, collector: TouchCollector, taken: Callable[[Touch], None] = lambda _: None
-) -> None:
+def touches_recorded(file: Path, task: TouchTask, collector: TouchCollector) -> None:
     """Fill a collector from an MCAP recording.
 
     A session that is started within the recording starts the touches over.
@@ -42,7 +39,6 @@ def touches_recorded(
         file: the recording.
         task: what was touched; its registration must be the one that held then.
         collector: filled until it is done or the recording ends.
-        taken: called with each touch.
 
     Raises:
         ConfigError: not a recording, or neither hand nor object is in it.
@@ -65,9 +61,7 @@ def touches_recorded(
             collector.start_over()
             from_ns = message.start_t_ns
         elif isinstance(message, HandPose | ObjectPose) and message.t_ns >= from_ns:
-            touch = feed(task, collector, sample.key, message)
-            if touch is not None:
-                taken(touch)
+            feed(task, collector, sample.key, message)
 
 
 _PATIENCE_S: Final = 15.0

@@ -1,9 +1,9 @@
 """Detect all markers of a frame in one pass.
 
-While all markers are at their predicted positions, only windows around these are searched. If one is not, and every
-`_SURVEY_FRAMES` frames in any case, the whole frame is searched, so that a lost marker is found anywhere; the tracks
-only decide between several blobs of a colour. Markers that are still missing are searched for by fainter colours near
-the other markers of their hand (`reach`). All windows are classified together and measured by the same method.
+While all markers are at their predicted positions, only windows around these are searched. If one is not, and twice a
+second in any case, the whole frame is searched, so that a lost marker is found anywhere; the tracks only decide between
+several blobs of a colour. Markers that are still missing are searched for by fainter colours near the other markers of
+their hand (`reach`). All windows are classified together and measured by the same method.
 """
 
 from __future__ import annotations

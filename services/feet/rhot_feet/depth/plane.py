@@ -22,8 +22,8 @@ from rhot_feet.frames import DepthImage
 
 # The floor in the depth image.
 #
-# A plane n·X = d is linear in inverse depth (see `depth_plane`), 1/z = a · (x, y, 1) with a = n/d, where the noise is
-# the same near and far. A point X in front of it stands (1 − a·X) / |a| above it.
+# A plane n·X = d is linear in inverse depth, 1/z = a · (x, y, 1) with a = n/d (see `fit_depth_plane`), where the noise
+# is the same near and far. A point X in front of it stands (1 − a·X) / |a| above it.
 
 _SAMPLES: Final = 1500
 """Points that vote; chosen."""

@@ -260,7 +260,7 @@ class DepthTracker:
         Args:
             frame: the image with its depth.
             up_camera: (3,) unit vector against gravity, camera frame, if the head's pose is known.
-            T_rig_camera: (4, 4) if the head's pose is known; the floor is then measured only every `_FLOOR_NS`.
+            T_rig_camera: (4, 4) if the head's pose is known; the floor is then measured every 60 ms only.
         """
         if frame.depth_mm is None:
             self._floor, self._floor_t_ns = None, None

@@ -4,7 +4,7 @@ A square's picture has two poses that explain it nearly as well, mirrored at the
 "Infinitesimal plane-based pose estimation", IJCV 2014). Both are refined here to the most likely pose given
 
     corners:  u_i = π(R · X_i + t) + noise of a few tenths of a pixel,
-    depth:    n / (n·t) = a + noise of the plane fit, n = R · (0, 0, 1)   (see `depth_plane`)
+    depth:    n / (n·t) = a + noise of the plane fit, n = R · (0, 0, 1)   (see `fit_depth_plane`)
 
 by Gauss–Newton over (δ, τ): R' = exp([δ]×) · R, t' = t + τ. Marker axes are OpenCV's: x right, y up, z out of the
 paper; R and t map them to the camera frame.

@@ -22,7 +22,7 @@ from rhot_fusion.filter.state import ROUND, SHARED, FilterStep, Innovation, Stat
 from rhot_fusion.views.sightings import Upper
 
 SCALES: Final = (0.01, 0.1, 0.5, 1.6, 5.0, 16.0)
-"""Noise intensities that multiply the three strengths above: square roots of the acceleration's power spectral
+"""Noise intensities that multiply the strengths of `motion`: square roots of the acceleration's power spectral
 density, m/s^1.5, from a hand at rest to 40 m/s² within one frame. The filter weights them by the likelihood of the
 observations.
 """

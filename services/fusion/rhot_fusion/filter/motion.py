@@ -14,7 +14,7 @@ Applications to Tracking and Navigation", 2001, section 6.2.2):
 and a share of the common noise acts without correlation. Each marker's motion therefore updates all others, visible or
 hidden. The scale s is unknown and changes over time: a hand at rest is averaged over many frames, a fast one is
 followed at once. It takes one of a few values, which are weighted by the likelihood of the observations; the weights
-return to their prior within `switch_s`.
+return to their prior within `SWITCH_S`.
 """
 
 from __future__ import annotations

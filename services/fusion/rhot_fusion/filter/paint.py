@@ -73,7 +73,7 @@ _SIDE_NOISE: Final = 0.12
 """Difference of the sides of skin below which noise is likelier than occlusion. At 0.08 a coverage of 98.1 % becomes
 97.9 %, without it curled fingers of a rendered world are 12 % worse."""
 _SIDE: Final = 0.66
-"""(π/4) ρ of `paint`."""
+"""(π/4) ρ of `visible_side`."""
 _SLIVER: Final = 0.4
 """Below this share of its largest visible area, cameras see different parts of a fingertip."""
 _SLIVER_DOUBT: Final = 0.04
@@ -115,10 +115,10 @@ class _Shown:
 
     Attributes:
         t_s: time of the last observation, seconds; −∞ = never.
-        width_m: square root of the area as seen from the centroid of the cameras, averaged over `settle_s` while it
+        width_m: square root of the area as seen from the centroid of the cameras, averaged over `_SETTLE_S` while it
             does not change.
         shrinking: relative decrease of the width per second between the last two frames; 0 unless it decreases.
-        slow_m: the width, low-pass filtered with `appears_s`.
+        slow_m: the width, low-pass filtered, with which the visible one is compared.
         own: whether the width was computed with the marker's own depth rather than that of its hand.
         changing: relative recent change of the visible area, 0 to 1.
         wider: width of the whole marker seen by this camera, relative to that seen from the centroid of the cameras,
@@ -374,8 +374,7 @@ class Paint:
         # A marker that reappears may be whole, or may still be emerging from behind an occluder.
         slow = width_m if math.isinf(elapsed) else shown.slow_m
         if not lost:
-            # Time constant of the width with which the visible width is compared, seconds: two frames at
-            # 60 fps.
+            # Time constant of the compared width, seconds: two frames at 60 fps.
             slow -= math.expm1(-elapsed / 0.03) * (width_m - slow)
         shown.slow_m = slow
         shown.changing = max(_unlike(slow, width_m) - _UNEVEN, 0.0) if width_m > 0.0 else 0.0

@@ -58,7 +58,7 @@ class VisibleArea:
     """
 
     def __init__(self) -> None:
-        # Λ of `paint`: tips are painted over 15 to 20 mm and are 6 to 7 mm thick.
+        # λ: tips are painted over 15 to 20 mm and are 6 to 7 mm thick.
         self._shaft = 2.0 * 1.8
         self._cosine: list[float] = np.linspace(_STRAIGHT_AWAY, 0.0, 64).tolist()
         self._share = [self.seen(c) for c in self._cosine]

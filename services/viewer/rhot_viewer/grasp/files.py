@@ -34,30 +34,29 @@ MESHES: Final = "mesh."
 """Before the name of an object in the address of its surface."""
 
 
-def is_built(bundle: Path = BUNDLE) -> bool:
+def is_built() -> bool:
     """Return whether the bundle is there."""
-    return (bundle / INDEX).is_file()
+    return (BUNDLE / INDEX).is_file()
 
 
-def answer(request: Request, meshes: Callable[[str], bytes | None], bundle: Path = BUNDLE) -> Response | None:
+def answer(request: Request, meshes: Callable[[str], bytes | None]) -> Response | None:
     """Return a file; None for what is none of the page's.
 
     Args:
         request: of a browser.
         meshes: the surface of an object, by its name.
-        bundle: folder of the page's files.
     """
     name = request.path.partition("?")[0].lstrip("/") or INDEX
     if name.startswith(MESHES) and name.endswith(".glb"):
         content = meshes(name[len(MESHES) : -len(".glb")])
         return None if content is None else _response(content, ".glb")
-    if name == INDEX and not is_built(bundle):
+    if name == INDEX and not is_built():
         return _response(NOT_BUILT.encode(), ".html")
     # One flat folder: a name with a slash or a leading dot can be none of its files.
     if "/" in name or "\\" in name or name.startswith(".") or Path(name).suffix not in _TYPES:
         return None
     try:
-        return _response((bundle / name).read_bytes(), Path(name).suffix)
+        return _response((BUNDLE / name).read_bytes(), Path(name).suffix)
     except (OSError, ValueError):  # ValueError: no file can be named so
         return None
 
