@@ -116,13 +116,11 @@ class JumpLimits:
         acceleration: m/s², largest.
         speed: m/s, largest.
         bridging: m/s, at most, at which an offset shrinks.
-        noise_m: of a tracker, between two samples.
     """
 
     acceleration: float
     speed: float
     bridging: float
-    noise_m: float = 0.02
 
 
 FOOT: Final = JumpLimits(acceleration=150.0, speed=8.0, bridging=2.0)
@@ -131,6 +129,8 @@ thrice that leaves room for running and kicks. 8 m/s is the swing of a sprinting
 HEAD: Final = JumpLimits(acceleration=60.0, speed=4.0, bridging=1.0)
 """The waists of the same walks reach 11 m/s² and 0.6 m/s; five times that leaves room for nods and dodges."""
 
+_NOISE_M: Final = 0.02
+"""Of a tracker, between two samples."""
 _LONGEST_GAP_S: Final = 0.3
 """After a longer pause nothing is known about where a body went."""
 _FORGET_S: Final = 0.1
@@ -198,8 +198,8 @@ class JumpBridge:
         change_m = float(np.linalg.norm(increment - self._velocity * elapsed_s))
         moved_m = float(np.linalg.norm(increment))
         return (
-            change_m > limits.noise_m + limits.acceleration * unsure_s * elapsed_s
-            or moved_m > limits.noise_m + limits.speed * elapsed_s
+            change_m > _NOISE_M + limits.acceleration * unsure_s * elapsed_s
+            or moved_m > _NOISE_M + limits.speed * elapsed_s
         )
 
     def _shrink(self, elapsed_s: float) -> None:
@@ -212,7 +212,7 @@ class JumpBridge:
         self._offset = self._offset * max(1.0 - step_m / left_m, 0.0)
 
     def _bridged(self, position: FloatArray, *, jumped: bool) -> Bridged:
-        away = float(np.linalg.norm(self._offset)) > self._limits.noise_m
+        away = float(np.linalg.norm(self._offset)) > _NOISE_M
         return Bridged(position, self._velocity, away, jumped)
 
 

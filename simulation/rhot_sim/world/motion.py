@@ -117,20 +117,17 @@ def wrist_poses(placement: FloatArray) -> FloatArray:
 
 
 class StillMotion:
-    """Open hands and objects that never move, for tests and for looking.
+    """Open hands, 17 cm above the desk, and objects that never move, for tests and for looking.
 
     Args:
         sides: hands, side by side where there are two.
         objects: ids; they lie in a row beside the fingers.
         desk_z_m: distance of the desk from the reference camera.
-        height_m: how far above the desk the hands are held.
     """
 
-    def __init__(
-        self, sides: Sequence[Side], objects: Sequence[str], desk_z_m: float = 0.95, height_m: float = 0.17
-    ) -> None:
+    def __init__(self, sides: Sequence[Side], objects: Sequence[str], desk_z_m: float = 0.95) -> None:
         self._placements: dict[Side, FloatArray] = {
-            side: np.array([home_x_m(side, sides), -0.03, desk_z_m - height_m, 0.0, 0.0, 0.0]) for side in sides
+            side: np.array([home_x_m(side, sides), -0.03, desk_z_m - 0.17, 0.0, 0.0, 0.0]) for side in sides
         }
         self._objects = {
             name: lying_pose(np.array([0.19 - 0.12 * index, 0.14, 0.0]), desk_z_m) for index, name in enumerate(objects)

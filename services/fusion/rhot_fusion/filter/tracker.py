@@ -31,7 +31,6 @@ from rhot_fusion.filter.tracks import (
     LOST_PERIODS,
     UNCALIBRATED,
     Track,
-    TrackSettings,
     TrackStatus,
     outcome_of,
     within_hand,
@@ -130,13 +129,12 @@ class FilterTracker:
         counts: Counter[str],
         *,
         record: bool = False,
-        settings: TrackSettings | None = None,
     ) -> None:
         """Build for a rig; `record` keeps the data that `smoothed` needs.
 
         Increments `measured`, `refused`, `late_frames`, `too_late`, `gated` and `behind_cameras` of counts.
         """
-        self._settings = settings or (CALIBRATED if rig.calibrated else UNCALIBRATED)
+        self._settings = CALIBRATED if rig.calibrated else UNCALIBRATED
         cameras = self._cameras = list(rig.models)
         self._limits, self._counts, self._count = limits, counts, len(markers)
         self._hands = hands_of(markers, hand, cameras, record=record)
