@@ -32,8 +32,8 @@ def test_bars_hold_every_value() -> None:
     values[7] = np.nan
     root = ElementTree.fromstring(histogram("errors", "mm", values))
     bars = root.findall(f"{SVG}rect")[1:-1]
-    assert len(bars) == 20
-    assert float(bars[0].attrib["height"]) > float(bars[15].attrib["height"])
+    assert len(bars) == 60
+    assert float(bars[0].attrib["height"]) > float(bars[45].attrib["height"])
 
 
 @pytest.mark.parametrize("values", [np.empty(0), np.full(3, np.nan), np.zeros(5)])

@@ -216,7 +216,7 @@ async def test_files_of_the_bundle_and_no_others(page: Page, tmp_path: Path, mon
     bundle = tmp_path / "static"
     bundle.mkdir()
     (tmp_path / "secret.js").write_text("secret")
-    monkeypatch.setattr(files.answer, "__defaults__", (bundle,))
+    monkeypatch.setattr(files, "BUNDLE", bundle)
     status, body = await fetch(page, "/")
     assert status == 200
     assert b"make web" in body, "says what to do while the page is not built"
