@@ -33,7 +33,11 @@ class Machine:
         self._running: list[subprocess.Popen[bytes]] = []
         folder.mkdir()
         subprocess.run(["ip", "netns", "add", self.name], check=True, capture_output=True)
-        subprocess.run(["ip", "-n", self.name, "link", "set", "lo", "up"], check=True)
+        try:
+            subprocess.run(["ip", "-n", self.name, "link", "set", "lo", "up"], check=True, capture_output=True)
+        except subprocess.CalledProcessError:
+            subprocess.run(["ip", "netns", "del", self.name], check=False)
+            raise
 
     def _popen(self, command: str, log: Path) -> subprocess.Popen[bytes]:
         path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
@@ -83,7 +87,8 @@ def machines(tmp_path: Path) -> Iterator[tuple[Machine, Machine]]:
     made: list[Machine] = []
     try:
         try:
-            made += [Machine("pc", tmp_path / "pc"), Machine("pi", tmp_path / "pi")]
+            for name in ("pc", "pi"):
+                made.append(Machine(name, tmp_path / name))  # noqa: PERF401  # of two, the first ends with the second
         except (OSError, subprocess.CalledProcessError) as error:
             pytest.skip(f"no network namespaces can be made here: {error}")
         pc, pi = made

@@ -274,6 +274,7 @@ async def test_a_headset_is_served_over_https_with_the_rigs_certificates(rig_fol
     made.port = await made.server.open("127.0.0.1", 0, page_tls(bus))
     try:
         trusting = ssl.create_default_context(cafile=rig_folder / "keys" / "authority.pem")
+        trusting.verify_flags |= ssl.VERIFY_X509_STRICT  # the default from Python 3.13 on
         status, _ = await fetch(made, f"/?token={TOKEN}", "https", trusting)
         assert status == 200
         own = Origin(f"https://127.0.0.1:{made.port}")

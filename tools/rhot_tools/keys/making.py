@@ -66,7 +66,7 @@ def new_authority(rig: str) -> Pair:
     authority_years = 20
     end = _years_from_now(authority_years)
     certificate = (
-        _builder(name, name, key.public_key(), end)
+        _builder(name, name, key.public_key(), key.public_key(), end)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_usage(sign=True), critical=True)
         .sign(key, hashes.SHA256())
@@ -97,7 +97,7 @@ def new_certificate(authority: Pair, name: str, addresses: Sequence[str] = ()) -
     end = min(_years_from_now(_YEARS), issuer.not_valid_after_utc)
     purpose = ExtendedKeyUsageOID.SERVER_AUTH if addresses else ExtendedKeyUsageOID.CLIENT_AUTH
     builder = (
-        _builder(_name(name), issuer.subject, key.public_key(), end)
+        _builder(_name(name), issuer.subject, key.public_key(), signing.public_key(), end)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(sign=False), critical=True)
         .add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
@@ -109,7 +109,11 @@ def new_certificate(authority: Pair, name: str, addresses: Sequence[str] = ()) -
 
 
 def _builder(
-    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, end: dt.datetime
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePublicKey,
+    signing: ec.EllipticCurvePublicKey,
+    end: dt.datetime,
 ) -> x509.CertificateBuilder:
     return (
         x509.CertificateBuilder()
@@ -119,6 +123,9 @@ def _builder(
         .serial_number(x509.random_serial_number())
         .not_valid_before(_BEGIN)
         .not_valid_after(end)
+        # RFC 5280, 4.2.1.1 and 2: programs that are strict, Python from 3.13 on among them, refuse one without.
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(signing), critical=False)
     )
 
 

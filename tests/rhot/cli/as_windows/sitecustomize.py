@@ -2,8 +2,7 @@
 
 In a folder of `PYTHONPATH`, every Python process begins with it, children too. The standard library and large packages
 are loaded first, because they choose their halves when they load; our modules then find `sys.platform` "win32", no
-`fcntl`,
-`termios` or `resource`, no event loop that takes signal handlers or waits for files, and an empty keyboard.
+`fcntl`, `termios` or `resource`, no event loop that takes signal handlers or waits for files, and an empty keyboard.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import mmap
 import multiprocessing.pool
 import multiprocessing.shared_memory
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -78,6 +78,9 @@ def become_windows() -> None:
         for name in names:
             if hasattr(place, name):
                 delattr(place, name)
+    os.process_cpu_count = os.cpu_count  # type: ignore[attr-defined]  # from Python 3.13 on
+    # What opens files beside an open folder; Windows has no such thing.
+    shutil._use_fd_functions = False  # type: ignore[attr-defined]
     keyboard: Any = types.ModuleType("msvcrt")
     keyboard.kbhit = lambda: False
     keyboard.getwch = lambda: ""
@@ -91,4 +94,5 @@ def become_windows() -> None:
 
 
 sysconfig.get_config_vars()
+platform.uname()
 become_windows()
