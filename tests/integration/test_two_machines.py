@@ -88,7 +88,7 @@ def machines(tmp_path: Path) -> Iterator[tuple[Machine, Machine]]:
     try:
         try:
             for name in ("pc", "pi"):
-                made.append(Machine(name, tmp_path / name))  # noqa: PERF401  # of two, the first ends with the second
+                made.append(Machine(name, tmp_path / name))  # noqa: PERF401  # kept at once: ended if the next fails
         except (OSError, subprocess.CalledProcessError) as error:
             pytest.skip(f"no network namespaces can be made here: {error}")
         pc, pi = made

@@ -31,11 +31,16 @@ _OFFSET: Final = (
 )
 
 
-# Targets but those of live tips, which depend on the stratum; millimetres, of the hand's tips median and p95.
+# Targets but those of live tips, which depend on the stratum; lengths in millimetres.
 _ONE_VIEW: Final = (8.0, 20.0)
 _HIDDEN_SHORT: Final = (15.0, 40.0)
 _HIDDEN_LONG_GRASP: Final = (25.0, 60.0)
-_JOINTS, _JOINTS_GRASP, _STEP = 6.0, 12.0, 10.0
+"""Of the hand's tips: median and 95th percentile."""
+_JOINTS: Final = 6.0
+_JOINTS_GRASP: Final = 12.0
+"""Mean of the 26 joints with all tips in two views, and in a grasp with two to five hidden."""
+_STEP: Final = 10.0
+"""Beyond true motion on re-appearance."""
 _TWO_SIGMA: Final = (90.0, 99.0)
 """Share of errors within two stated sigma, percent."""
 _START_TIMES: Final = 1.5

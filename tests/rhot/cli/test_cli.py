@@ -256,9 +256,10 @@ def test_what_json_cannot_hold_is_named_and_ends_no_command() -> None:
     key_of_bytes = plain_value(b"\x81\xc4\x01a\x01", "application/msgpack")
     for value in (key_of_bytes, plain_value(b"[" * 100_000, "application/json")):
         assert "invalid" in json.loads(json_text(value))
-    # How deep Python's JSON goes depends on its version: shown or invalid.
+    # How deep JSON may nest depends on Python's version.
     nested = plain_value(b"\x91" * 1000 + b"\x01", "application/msgpack")
-    assert json.loads(json_text(nested))
+    whole = json_text(nested) == "[" * 1000 + "1" + "]" * 1000
+    assert "invalid" in json.loads(json_text(nested)) or (whole and sys.version_info >= (3, 12))
 
 
 def test_tools_reach_the_router_of_the_rig(rig_folder: Path) -> None:

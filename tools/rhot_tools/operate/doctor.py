@@ -371,7 +371,7 @@ def _summary(name: str, file: CalibrationFile) -> str:
     return text
 
 
-async def _fetch_status(bus: Bus) -> tuple[set[str], dict[str, ServiceStatus]]:
+async def _settled_status(bus: Bus) -> tuple[set[str], dict[str, ServiceStatus]]:
     """Return who is alive and the last status of each; cameras without pictures get a few seconds to send one."""
     alive, statuses = await fetch_status(bus)
     until = time.monotonic() + _NO_PICTURES_S
@@ -391,7 +391,7 @@ async def check_running(config: BusConfig, rig: Rig | None) -> list[Finding]:
     where = ", ".join(config.connect)
     try:
         async with await Bus.open(config, timeout_s=1.0) as bus:
-            alive, statuses = await _fetch_status(bus)
+            alive, statuses = await _settled_status(bus)
             hands = [] if rig is None else await check_hands(bus, rig)
     except BusError:
         remedy = f"rhot up --rig {as_argument(rig.path)}, or rhot sim for a demo" if rig else "rhot sim for a demo"

@@ -64,7 +64,7 @@ class _Marker:
         innovation = xy - X[:2] / X[2]
         S = H @ P @ H.T + np.eye(2) * (_PIXEL_PX / views.focal_px[camera]) ** 2
         gain = np.linalg.solve(S, H @ P).T
-        # Gate: ten sigma.
+        # Ten sigma; a marker starts again after five refused views in a row.
         if X[2] < _NEAREST_M or innovation @ np.linalg.solve(S, innovation) > 100.0:
             self.refused[camera] = self.refused.get(camera, 0) + 1
             if self.refused[camera] > 4:
