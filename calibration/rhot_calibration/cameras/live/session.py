@@ -36,7 +36,7 @@ MAX_EDGE_PX: Final = 4.0
 COUNTDOWN_S: Final = 0.75
 COUNTS: Final = 3
 FRESH_S: Final = 1.5
-"""A preview older than this says nothing about where the board is now."""
+"""A view older than this says nothing about where the board is now."""
 
 
 class SessionState(Enum):
@@ -97,7 +97,8 @@ class Session:
         self.sizes = dict(sizes)
         self._enough = enough
         self._sets: list[dict[str, BoardView]] = []
-        self._latest: dict[str, BoardView] = {}
+        self._latest: dict[str, tuple[float, BoardView]] = {}
+        self._seeing: frozenset[str] = frozenset()
         self._now_s = -math.inf
         self._held_from_s: float | None = None
         self._state = SessionState.SEARCHING
@@ -110,17 +111,21 @@ class Session:
             views: where the cameras see the board; those that do not see it, or did not answer, are absent.
             t_s: when, seconds on any steady clock.
         """
-        before, passed_s = self._latest, t_s - self._now_s
-        self._latest, self._now_s = dict(views), t_s
+        before = {camera: seen for camera, seen in self._latest.items() if t_s - seen[0] <= FRESH_S}
+        self._latest = before | {camera: (t_s, view) for camera, view in views.items()}
+        self._seeing, self._now_s = frozenset(views), t_s
         # A camera that sees the board for the first time cannot tell yet whether it stands still.
         steady = {camera: view for camera, view in views.items() if camera in before}
-        self._state = self._judged(before, steady, passed_s)
+        self._state = self._judged(before, steady)
         if self._state is not SessionState.HOLDING:
             self._held_from_s = None
             return None
         if self._held_from_s is None:
             self._held_from_s = t_s
-        if t_s - self._held_from_s < COUNTDOWN_S:
+        held_s = t_s - self._held_from_s
+        # A slow camera may miss a round: a set without it would tie nothing to it.
+        awaited = self._latest.keys() - steady.keys()
+        if held_s < COUNTDOWN_S or (awaited and held_s < COUNTDOWN_S + FRESH_S):
             return None
         self._sets.append(steady)
         self._taken = self._summary()
@@ -128,13 +133,10 @@ class Session:
         self._state = SessionState.COMPLETE if self.complete else SessionState.ACCEPTED
         return steady
 
-    def _judged(self, before: Mapping[str, BoardView], views: Mapping[str, BoardView], passed_s: float) -> SessionState:
-        if not self._latest:
+    def _judged(self, before: Mapping[str, tuple[float, BoardView]], views: Mapping[str, BoardView]) -> SessionState:
+        if not self._seeing:
             return SessionState.SEARCHING
-        limit_px = max(NOISE_PX, MAX_SPEED_PX_S * passed_s)
-        if not views or passed_s > FRESH_S:
-            return SessionState.MOVING
-        if any(_moved_px(before[camera], view) > limit_px for camera, view in views.items()):
+        if not views or any(self._moves(before[camera], view) for camera, view in views.items()):
             return SessionState.MOVING
         if not any(self._is_new(camera, view) for camera, view in views.items()):
             return SessionState.ACCEPTED if self._state is SessionState.ACCEPTED else SessionState.SIMILAR
@@ -143,6 +145,9 @@ class Session:
             if any(view.sharpness > MAX_EDGE_PX for view in views.values())
             else SessionState.HOLDING
         )
+
+    def _moves(self, before: tuple[float, BoardView], view: BoardView) -> bool:
+        return _moved_px(before[1], view) > max(NOISE_PX, MAX_SPEED_PX_S * (self._now_s - before[0]))
 
     def _is_new(self, camera: str, view: BoardView) -> bool:
         width = self.sizes[camera][0]
@@ -182,7 +187,7 @@ class Session:
             left = 1.0 - (self._now_s - self._held_from_s) / COUNTDOWN_S
             count = max(1, math.ceil(COUNTS * left))
         taken = self._taken
-        seeing = tuple(name for name in self.sizes if name in self._latest)
+        seeing = tuple(name for name in self.sizes if name in self._seeing)
         return Progress(self._state, count, len(self._sets), seeing, taken.cameras, taken.pairs, taken.missing)
 
     def _summary(self) -> _Taken:

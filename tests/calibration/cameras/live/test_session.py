@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rhot_calibration.cameras.live.session import COUNTDOWN_S, MAX_EDGE_PX, Session, SessionState
+from rhot_calibration.cameras.live.session import COUNTDOWN_S, FRESH_S, MAX_EDGE_PX, Session, SessionState
 from rhot_calibration.cameras.solve.views import Board, BoardView
 
 BOARD = Board(9, 6, 0.025)
@@ -81,13 +81,29 @@ def test_motion_in_one_camera_alone_counts(clocked: Clocked) -> None:
         assert clocked.feed(left=seen(100.0), right=seen(60.0 + 3.0 * step)) is None
 
 
-def test_a_camera_that_comes_and_goes_is_left_out(clocked: Clocked) -> None:
+@pytest.mark.parametrize("every", [2, 3, 4])
+def test_a_camera_that_misses_rounds_is_waited_for(clocked: Clocked, every: int) -> None:
+    """A camera on a busy machine: without its view the set would tie nothing to it."""
     for step in range(12):
-        right = {"right": seen(60.0)} if step % 2 else {}
+        right = {"right": seen(60.0)} if step % every == 0 else {}
         taken = clocked.feed(left=seen(100.0), **right)
         if taken is not None:
             break
-    assert set(taken or {}) == {"left"}
+    assert set(taken or {}) == {"left", "right"}
+
+
+def test_a_camera_that_has_gone_is_not_waited_for_for_long(clocked: Clocked) -> None:
+    clocked.hold(0.6, left=seen(100.0), right=seen(60.0))
+    gone_s = clocked.t_s
+    while (taken := clocked.feed(left=seen(100.0))) is None:
+        assert clocked.t_s < gone_s + FRESH_S + 2 * ROUND_S
+    assert set(taken) == {"left"}
+
+
+def test_a_camera_that_misses_rounds_while_the_board_moves_takes_nothing(clocked: Clocked) -> None:
+    for step in range(12):
+        right = {"right": seen(60.0 + 5.0 * step)} if step % 3 == 0 else {}
+        assert clocked.feed(left=seen(100.0), **right) is None
 
 
 def test_a_pause_of_the_previews_is_no_stillness(clocked: Clocked) -> None:
