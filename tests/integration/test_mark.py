@@ -14,12 +14,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from running.rig_processes import Processes
+from wall_clock import in_time
 
 import rhot
 from rhot.bus import Bus
 from rhot.cli import main
 from rhot.messages import Event, decode, encode, encoding_of
-from rhot.operation.control import mark, quickest_exchange
+from rhot.operation.control import EventPublisher, quickest_exchange
 from rhot.recording.mcap.writer import McapWriter
 from rhot_sim.rig.folder import write_simulated_rig
 from rhot_sim.running.processes import free_endpoint
@@ -48,11 +49,11 @@ async def test_a_trigger_is_recorded_within_a_millisecond_of_when_it_came(rig, t
     async with await Bus.open(client, timeout_s=20.0) as bus:
         await quickest_exchange(bus, 20.0)
         heard = bus.events("rhot/event")
-        truth = []
+        published, truth = EventPublisher(bus), []
         for number in range(20):
             truth.append(time.time_ns())
             await asyncio.sleep(0.005 * (number % 3))  # the program is late
-            await mark(bus, f"trigger {number}", "device", at_ns=truth[-1])
+            await published.put(f"trigger {number}", "device", at_ns=truth[-1])
         events = []
         async for sample in heard:
             events.append(decode(sample.payload, Event))
@@ -66,8 +67,11 @@ async def test_a_trigger_is_recorded_within_a_millisecond_of_when_it_came(rig, t
     assert [event.label for event in found] == [f"trigger {number}" for number in range(20)]
     # Rig time is the clock of fusion's machine, which is this one.
     off_s = [1e-9 * abs(event.t_ns - t_ns) for event, t_ns in zip(found, truth, strict=True)]
-    assert max(off_s) < 1e-3
-    assert all(event.uncertainty_s is not None and event.uncertainty_s < 0.05 for event in found)
+    assert all(event.uncertainty_s is not None for event in found)
+    stated_s = [event.uncertainty_s or 0.0 for event in found]
+    assert all(off <= stated + 1e-6 for off, stated in zip(off_s, stated_s, strict=True))
+    in_time(1e3 * max(off_s), 1.0, "a trigger's time", "ms")
+    in_time(1e3 * max(stated_s), 50.0, "what is stated for it", "ms")
 
 
 async def test_lines_mark_when_they_arrive_and_a_label_when_the_command_began(rig) -> None:  # type: ignore[no-untyped-def]
@@ -156,4 +160,5 @@ async def test_triggers_of_an_lsl_stream_are_marked_when_they_were_stamped(rig, 
     assert [event.label for event in events] == list(sent)
     assert {event.source for event in events} == {"lsl"}
     off_s = [1e-9 * abs(event.t_ns - sent[event.label]) for event in events]
-    assert sorted(off_s)[-2] < 1e-3, "one reading of the clocks may be interrupted"
+    # One reading of the clocks may be interrupted.
+    in_time(1e3 * sorted(off_s)[-2], 1.0, "a trigger's time", "ms")

@@ -8,7 +8,7 @@ import time
 from typing import Literal
 
 from rhot.bus import Bus
-from rhot.clock import Exchange, SystemClock, difference_ns
+from rhot.clock import Exchange, SyncedRigClock, SystemClock, difference_ns
 from rhot.errors import BusError, WireError
 from rhot.messages import Control, Event, decode
 from rhot.service.clock_sync import exchange_once
@@ -31,6 +31,10 @@ async def quickest_exchange(bus: Bus, wait_s: float) -> Exchange:
     Raises:
         BusError: nobody answers within `wait_s`.
     """
+    return min(await _exchanges(bus, wait_s), key=lambda exchange: exchange.round_trip_ns)
+
+
+async def _exchanges(bus: Bus, wait_s: float) -> list[Exchange]:
     clock = SystemClock()
     deadline = time.monotonic() + wait_s
     exchanges: list[Exchange] = []
@@ -46,7 +50,7 @@ async def quickest_exchange(bus: Bus, wait_s: float) -> Exchange:
             )
         else:
             await asyncio.sleep(0.1)
-    return min(exchanges, key=lambda exchange: exchange.round_trip_ns)
+    return exchanges
 
 
 async def broadcast(bus: Bus, action: Literal["start", "stop"], session: str, delay_s: float, wait_s: float) -> Control:
@@ -107,27 +111,40 @@ def new_session() -> str:
     return time.strftime("%Y%m%d-%H%M%S")
 
 
-# Marked moments.
+class EventPublisher:
+    """Publishes moments that somebody marks, on `rhot/event`.
 
-
-async def mark(bus: Bus, label: str, source: str, *, at_ns: int | None = None, late_s: float = 0.0) -> Event:
-    """Publish that something happened, on `rhot/event`, and return the message.
+    What a mark learns of rig time serves the later ones: a machine that is busy for a moment puts none at a wrong time.
 
     Args:
         bus: of the rig.
-        label: what happened.
-        source: who says so.
-        at_ns: when, by this machine's system clock (`time.time_ns`); now by default.
-        late_s: by how much that may be too late.
-
-    Raises:
-        BusError: no service answers for rig time.
-        ValidationError: the label is too long.
     """
-    now_ns = SystemClock().now_ns
-    at_ns = now_ns() if at_ns is None else at_ns + difference_ns(now_ns, time.time_ns)
-    exchange = await quickest_exchange(bus, 2.0)
-    uncertainty_s = 0.5e-9 * exchange.round_trip_ns + late_s
-    event = Event(t_ns=at_ns + exchange.offset_ns, label=label, source=source, uncertainty_s=round(uncertainty_s, 6))
-    bus.publisher("rhot/event", Event).put(event)
-    return event
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._clock = SyncedRigClock(SystemClock())
+        self._publisher = bus.publisher("rhot/event", Event)
+
+    async def put(self, label: str, source: str, *, at_ns: int | None = None, late_s: float = 0.0) -> Event:
+        """Publish that something happened, and return the message.
+
+        Args:
+            label: what happened.
+            source: who says so.
+            at_ns: when, by this machine's system clock (`time.time_ns`); now by default.
+            late_s: by how much that may be too late.
+
+        Raises:
+            BusError: no service answers for rig time.
+            ValidationError: the label is too long.
+        """
+        now_ns = self._clock.node.now_ns
+        at_ns = now_ns() if at_ns is None else at_ns + difference_ns(now_ns, time.time_ns)
+        for exchange in await _exchanges(self._bus, 2.0):
+            self._clock.estimator.add(exchange)
+        uncertainty_s = 1e-9 * self._clock.estimator.uncertainty_at(at_ns) + late_s
+        event = Event(
+            t_ns=self._clock.to_rig_ns(at_ns), label=label, source=source, uncertainty_s=round(uncertainty_s, 6)
+        )
+        self._publisher.put(event)
+        return event

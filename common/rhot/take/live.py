@@ -22,7 +22,7 @@ from rhot.bus import CONNECT_S, Bus
 from rhot.errors import BusError, ConfigError
 from rhot.messages import Event, HandPose, Message, ObjectPose, PointSet, first_problem
 from rhot.messages.base import NAME_PATTERN
-from rhot.operation.control import mark
+from rhot.operation.control import EventPublisher
 from rhot.recording.mcap.wire_models import model_of_key
 from rhot.rig import BusConfig
 from rhot.rig.folder import load_config
@@ -123,6 +123,7 @@ class LiveRig:
     def __init__(self, config: BusConfig, timeout_s: float) -> None:
         self._config, self._timeout_s = config, timeout_s
         self._bus: Bus | None = None
+        self._events: EventPublisher | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread: threading.Thread | None = None
 
@@ -180,7 +181,7 @@ class LiveRig:
     def mark(self, label: str, at_ns: int | None = None) -> Event:
         """Mark a moment for recordings, from a program without an event loop.
 
-        With one: `await rhot.operation.control.mark(rig.bus, label, "…")`.
+        With one: `await EventPublisher(rig.bus).put(label, "…")` of `rhot.operation.control`.
 
         Args:
             label: what happened.
@@ -192,9 +193,14 @@ class LiveRig:
         """
         at_ns = time.time_ns() if at_ns is None else at_ns
         try:
-            return self.wait(lambda: mark(self.bus, label, "program", at_ns=at_ns))
+            return self.wait(lambda: self._mark(label, at_ns))
         except ValidationError as error:
             raise ValueError(first_problem(error)) from None
+
+    async def _mark(self, label: str, at_ns: int) -> Event:
+        if self._events is None:
+            self._events = EventPublisher(self.bus)
+        return await self._events.put(label, "program", at_ns=at_ns)
 
     async def __aenter__(self) -> Self:
         """Connect.
@@ -207,7 +213,7 @@ class LiveRig:
 
     async def __aexit__(self, *_: object) -> None:
         """Disconnect."""
-        bus, self._bus = self._bus, None
+        bus, self._bus, self._events = self._bus, None, None
         if bus is not None:
             await bus.close()
 

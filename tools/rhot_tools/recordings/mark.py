@@ -18,7 +18,7 @@ from rhot.cli.options import bus_options, rig_option, tool_bus
 from rhot.clock import difference_ns
 from rhot.errors import ConfigError
 from rhot.messages import Event, first_problem
-from rhot.operation.control import mark as publish_mark
+from rhot.operation.control import EventPublisher
 from rhot.rig import BusConfig
 from rhot_tools.recordings.triggers import GpioPin, LslMarkers, Triggers
 
@@ -86,14 +86,15 @@ def mark(
 
 async def _mark(config: BusConfig, label: str | None, begun_ns: int) -> None:
     async with await Bus.open(config, timeout_s=CONNECT_S) as bus:
+        events = EventPublisher(bus)
         if label is not None:
             # The system counts a process's start in hundredths of a second.
-            await _publish(bus, label, begun_ns, 0.01 if sys.platform == "linux" else _UNKNOWN_S)
+            await _publish(events, label, begun_ns, 0.01 if sys.platform == "linux" else _UNKNOWN_S)
             return
         last = "mark"
         while line := await asyncio.to_thread(sys.stdin.readline):
             last = line.strip() or last
-            await _publish(bus, last, time.time_ns(), 0.0)
+            await _publish(events, last, time.time_ns(), 0.0)
 
 
 async def _follow(config: BusConfig, triggers: Triggers) -> None:
@@ -104,20 +105,21 @@ async def _follow(config: BusConfig, triggers: Triggers) -> None:
         loop.call_soon_threadsafe(came.put_nowait, (label, at_ns))
 
     async with await Bus.open(config, timeout_s=CONNECT_S) as bus:
+        events = EventPublisher(bus)
         click.echo(f"waiting for {triggers.where}; Ctrl-C ends it", err=True)
         following = asyncio.create_task(asyncio.to_thread(triggers.follow, tell, ended))
         following.add_done_callback(lambda _: came.put_nowait(None))
         try:
             while (trigger := await came.get()) is not None:
-                await _publish(bus, *trigger, triggers.uncertainty_s, triggers.source)
+                await _publish(events, *trigger, triggers.uncertainty_s, triggers.source)
             await following
         finally:
             ended.set()
 
 
-async def _publish(bus: Bus, label: str, at_ns: int, late_s: float, source: str = "mark") -> Event:
+async def _publish(events: EventPublisher, label: str, at_ns: int, late_s: float, source: str = "mark") -> Event:
     try:
-        event = await publish_mark(bus, label, source, at_ns=at_ns, late_s=late_s)
+        event = await events.put(label, source, at_ns=at_ns, late_s=late_s)
     except ValidationError as error:
         raise ConfigError(first_problem(error)) from error
     click.echo(f"{event.label}  {event.t_ns}  ± {1e3 * (event.uncertainty_s or 0.0):.1f} ms")

@@ -18,7 +18,7 @@ from viser import uplot
 from rhot.bus import Bus
 from rhot.errors import RhotError
 from rhot.messages import first_problem
-from rhot.operation.control import mark
+from rhot.operation.control import EventPublisher
 from rhot_viewer.browser.page import Page
 from rhot_viewer.browser.rig_scene import RigScene
 from rhot_viewer.browser.sentence import sentence_html
@@ -151,10 +151,11 @@ class Marks:
 
     async def run(self, bus: Bus) -> None:
         """Publish what is marked, until cancelled."""
+        events = EventPublisher(bus)
         while True:
             label, at_ns = await self._pressed.get()
             try:
-                event = await mark(bus, label, "page", at_ns=at_ns, late_s=_LATE_S)
+                event = await events.put(label, "page", at_ns=at_ns, late_s=_LATE_S)
             except ValidationError as error:
                 self._said = _TEXT.format(color=_BAD, text=sentence_html(first_problem(error)))
             except RhotError as error:
