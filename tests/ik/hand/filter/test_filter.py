@@ -141,6 +141,28 @@ def test_fingers_that_nobody_sees_close(holds: bool) -> None:
     assert (bend[[1, 3, 4], 0] < 25.0).all()
 
 
+@pytest.mark.parametrize("holds", [False, True])
+def test_where_a_hidden_finger_was_is_forgotten_as_quickly_as_it_leaves(holds: bool) -> None:
+    """In 0.6 s, whether the time passes at once or in frames; what is known of a finger goes with its distance."""
+    hand = filter_of()
+    model = HandModel.from_file(HandFile(), "right")
+    hidden = np.arange(5) == 2
+    middle = slice(ANGLES.start + 8, ANGLES.start + 12)
+    start = hand.start(R_TRUE, P_TRUE, coupled(model, 20.0, 30.0))
+    known = start.P.copy()
+    known[middle, middle] = 0.0
+    start = dataclasses.replace(start, P=known)
+    end = (closed_angles(model) if holds else hidden_angles(model))[8:12]
+    for steps in (1, 36):
+        state = start
+        for _ in range(steps):
+            state = hand.predict(state, 0.6 / steps, hidden, holds)
+        left = (state.angles[8] - end[0]) / (start.angles[8] - end[0])
+        spread = state.P[middle, middle].diagonal() / angle_covariance(model)[8:12, 8:12].diagonal()
+        assert np.allclose(spread, 1.0 - left**2)
+        assert left == pytest.approx(0.472 if holds else 0.741, abs=1e-3)
+
+
 def test_a_hidden_finger_ends_at_the_thing_that_it_closes_round() -> None:
     hand = filter_of()
     model = HandModel.from_file(HandFile(), "right")

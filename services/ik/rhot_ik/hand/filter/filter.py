@@ -250,7 +250,7 @@ class HandFilter(HandProcess):
             prior.person + dx[PERSON],
             prior.P,
             prior.dt_s,
-            prior.stationary_share,
+            prior.keeps,
         )
 
     def clamp(self, angles: FloatArray) -> FloatArray:
@@ -319,12 +319,11 @@ class HandFilter(HandProcess):
             noise = noise.copy()
             noise[6] *= unlikely**2
         nis = nis[:5] / 3.0
-        if prior.stationary_share > 0.0 and float(nis.max()) > 1.0:
+        if prior.keeps is not None and float(nis.max()) > 1.0:
             times = np.sqrt(np.minimum(np.maximum(nis, 1.0), _MOST_ACTIVITY) - 1.0)
             times = np.where(rows.seen[:5], times, times[rows.seen[:5]].mean())
-            more = np.repeat(times, 4)
             P = prior.P.copy()
-            room = prior.stationary_share * more[:, None] * self._stationary * more
+            room = self.diffused(prior.keeps, np.repeat(times, 4))
             P[ANGLES, ANGLES] += room
             PHt[ANGLES] += room @ H[:, ANGLES].T
             S = H @ PHt

@@ -125,6 +125,10 @@ _ANGLES_S: Final = 2.0
 """Time constant with which an unseen finger comes to be anywhere that fingers are: people hold a thing, or a posture,
 for some seconds.
 """
+_CLOSES_S: Final = 0.8
+"""The same of one that closes round a known object, in about half a second: in front of cameras that see a hand's back,
+fingers vanish under it because they close.
+"""
 _PERSON_S: Final = 60.0
 """In this time what was learned of a person fades: somebody may have changed places or repainted."""
 ERROR_LASTS_S: Final = 0.25
@@ -177,7 +181,7 @@ class HandState:
         person: (11,) base shift, patch tilt and lengths of the fingers.
         P: (43, 43) covariance of the errors.
         dt_s: how far the last prediction reached.
-        stationary_share: share of the angles' stationary covariance that it added to P.
+        keeps: (20,) what share of each angle's distance from its mean it kept; none before the first prediction.
         mean_residual_m: mean distance of the seen tips from where this state has them, as far as they are known; 0 when
             none was seen.
         prior_covariance: (43, 43) covariance before the last sample, with the room that the sample gave it.
@@ -191,7 +195,7 @@ class HandState:
     person: FloatArray
     P: FloatArray
     dt_s: float = 0.0
-    stationary_share: float = 0.0
+    keeps: FloatArray | None = None
     mean_residual_m: float = 0.0
     prior_covariance: FloatArray | None = None
 
@@ -260,44 +264,53 @@ class HandProcess:
         if dt_s <= 0.0:
             return state
         fades, path_s = self._speeds(dt_s)
-        forgets = math.exp(-dt_s / _ANGLES_S)
-        mean, angles = self._rest, state.angles
-        if hidden is None or not hidden.any():
-            angles = mean + forgets * (angles - mean)
-        else:
-            keeps = np.full(COUNT, forgets)
-            if holds:
-                # One that closes round a known object does so in about half a second: in front of cameras
-                # that see a hand's back, fingers vanish under it because they close.
-                keeps[np.repeat(hidden, 4)] = math.exp(-dt_s / 0.8)
-            mean = self._expected(hidden, self._closed if holds else self._unseen)
-            angles = mean + keeps * (angles - mean)
+        keeps = np.full(COUNT, math.exp(-dt_s / _ANGLES_S))
+        if holds and hidden is not None:
+            keeps[np.repeat(hidden, 4)] = math.exp(-dt_s / _CLOSES_S)
+        mean = self._expected(hidden, self._closed if holds else self._unseen)
         learned = math.exp(-dt_s / _PERSON_S)
-        spread = 1.0 - forgets * forgets
-        F = self.derivative(state, dt_s)
+        F = self.derivative(state, dt_s, keeps)
         turn = F[ROTATION, ROTATION].T
-        strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, spread, 1.0 - learned * learned])
+        strengths = np.array([dt_s**3 / 3.0, dt_s**2 / 2.0, dt_s, 1.0 - learned * learned])
         P = F @ state.P @ F.T + (strengths @ self._noise).reshape(SIZE, SIZE)
+        P[ANGLES, ANGLES] += self.diffused(keeps)
         return HandState(
             orthonormal(state.R @ turn),
             state.p + path_s * state.velocity,
             fades * state.angular_velocity,
             fades * state.velocity,
-            angles,
+            mean + keeps * (state.angles - mean),
             learned * state.person,
             P,
             dt_s,
-            spread,
+            keeps,
         )
 
-    def derivative(self, state: HandState, dt_s: float) -> FloatArray:
-        """Return F (43, 43): how an error of a state is one of the state that `predict` makes of it, `dt_s` later."""
+    def diffused(self, keeps: FloatArray, times: float | FloatArray = 1.0) -> FloatArray:
+        """Return the covariance (20, 20) that a prediction adds to the angles, of which it `keeps` (20,) such shares.
+
+        Args:
+            keeps: see `HandState`.
+            times: (20,) factors of the standard deviations.
+        """
+        added = times * np.sqrt(1.0 - keeps * keeps)
+        covariance: FloatArray = added[:, None] * self._stationary * added
+        return covariance
+
+    def derivative(self, state: HandState, dt_s: float, keeps: FloatArray) -> FloatArray:
+        """Return F (43, 43): how an error of a state is one of the state that `predict` makes of it, `dt_s` later.
+
+        Args:
+            state: of before.
+            dt_s: seconds.
+            keeps: (20,) of the state that was predicted.
+        """
         fades, path_s = self._speeds(dt_s)
         F = self._unmoved.copy()
         F[ROTATION, ROTATION] = rotation_from_vector(state.angular_velocity * path_s).T
         diagonal = F.reshape(-1)
         diagonal[_OF_SPEEDS], diagonal[_SPEEDS] = path_s, fades
-        diagonal[_ANGLES] = math.exp(-dt_s / _ANGLES_S)
+        diagonal[_ANGLES] = keeps
         diagonal[_PERSON] = math.exp(-dt_s / _PERSON_S)
         return F
 
@@ -311,8 +324,8 @@ class HandProcess:
         return self._rest if hidden is None else np.where(np.repeat(hidden, 4), closing, self._rest)
 
     def _process_noise(self) -> FloatArray:
-        """Return what a prediction by t adds to P, (5, 43·43): factors of t³/3, t²/2, t, of angles and of person."""
-        noise = np.zeros((5, SIZE, SIZE))
+        """Return what a prediction by t adds to P, (4, 43·43): factors of t³/3, t²/2, t and of person; angles aside."""
+        noise = np.zeros((4, SIZE, SIZE))
         for value, rate, strength in (
             # Random angular acceleration, rad/s² per √Hz: 50 rad/s² for 0.1 s.
             (ROTATION, ANGULAR_VELOCITY, 15.0),
@@ -321,6 +334,5 @@ class HandProcess:
             noise[0][value, value] = noise[1][value, rate] = noise[1][rate, value] = noise[2][rate, rate] = (
                 strength** 2 * np.eye(3)
             )
-        noise[3][ANGLES, ANGLES] = self._stationary
-        noise[4][PERSON, PERSON] = self._person
-        return noise.reshape(5, -1)
+        noise[3][PERSON, PERSON] = self._person
+        return noise.reshape(4, -1)

@@ -62,7 +62,7 @@ def smoothed_states(hand_filter: HandFilter, steps: Sequence[Filtered]) -> list[
     smoothed = [step.state for step in steps]
     for k in range(len(steps) - 2, -1, -1):
         after = steps[k + 1]
-        if after.expected is None or after.state.prior_covariance is None:
+        if after.expected is None or after.expected.keeps is None or after.state.prior_covariance is None:
             continue
         state, dt_s = steps[k].state, (after.t_ns - steps[k].t_ns) / 1e9
         error = np.zeros(SIZE)
@@ -70,7 +70,7 @@ def smoothed_states(hand_filter: HandFilter, steps: Sequence[Filtered]) -> list[
         if dt_s > 0.0:
             met = _given_person(_met(after.expected.P, after.state.prior_covariance, steps[k].measured))
             gain = np.asarray(np.linalg.solve(met, error[MOTION]), dtype=np.float64)
-            F = hand_filter.derivative(state, dt_s)[MOTION, MOTION]
+            F = hand_filter.derivative(state, dt_s, after.expected.keeps)[MOTION, MOTION]
             error[MOTION] = _given_person(state.P) @ (F.T @ gain)
         moved = hand_filter.moved(state, error)
         smoothed[k] = dataclasses.replace(moved, angles=hand_filter.clamp(moved.angles))
