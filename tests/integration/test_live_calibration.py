@@ -28,7 +28,7 @@ pytestmark = pytest.mark.integration
 BOARD = Board(9, 6, 0.025)
 ENOUGH = 3
 SEED = 343
-"""Both cameras see the whole board at the first 24 places but three; of seed 1 at every other of some."""
+"""Both cameras see the whole board at 21 of the first 24 places; with seed 1 one of them misses every third."""
 
 
 def board_rig(simulated_rig: tuple[Path, str], folder: Path) -> tuple[Path, BusConfig]:

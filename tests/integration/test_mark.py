@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from running.rig_processes import Processes
-from wall_clock import in_time
 
 import rhot
 from rhot.bus import Bus
@@ -70,8 +69,8 @@ async def test_a_trigger_is_recorded_within_a_millisecond_of_when_it_came(rig, t
     assert all(event.uncertainty_s is not None for event in found)
     stated_s = [event.uncertainty_s or 0.0 for event in found]
     assert all(off <= stated + 1e-6 for off, stated in zip(off_s, stated_s, strict=True))
-    in_time(1e3 * max(off_s), 1.0, "a trigger's time", "ms")
-    in_time(1e3 * max(stated_s), 50.0, "what is stated for it", "ms")
+    assert max(off_s) < 1e-3
+    assert max(stated_s) < 0.05
 
 
 async def test_lines_mark_when_they_arrive_and_a_label_when_the_command_began(rig) -> None:  # type: ignore[no-untyped-def]
@@ -160,5 +159,4 @@ async def test_triggers_of_an_lsl_stream_are_marked_when_they_were_stamped(rig, 
     assert [event.label for event in events] == list(sent)
     assert {event.source for event in events} == {"lsl"}
     off_s = [1e-9 * abs(event.t_ns - sent[event.label]) for event in events]
-    # One reading of the clocks may be interrupted.
-    in_time(1e3 * sorted(off_s)[-2], 1.0, "a trigger's time", "ms")
+    assert sorted(off_s)[-2] < 1e-3, "one reading of the clocks may be interrupted"

@@ -98,7 +98,6 @@ class Session:
         self._enough = enough
         self._sets: list[dict[str, BoardView]] = []
         self._latest: dict[str, tuple[float, BoardView]] = {}
-        self._seeing: frozenset[str] = frozenset()
         self._now_s = -math.inf
         self._held_from_s: float | None = None
         self._state = SessionState.SEARCHING
@@ -113,7 +112,7 @@ class Session:
         """
         before = {camera: seen for camera, seen in self._latest.items() if t_s - seen[0] <= FRESH_S}
         self._latest = before | {camera: (t_s, view) for camera, view in views.items()}
-        self._seeing, self._now_s = frozenset(views), t_s
+        self._now_s = t_s
         # A camera that sees the board for the first time cannot tell yet whether it stands still.
         steady = {camera: view for camera, view in views.items() if camera in before}
         self._state = self._judged(before, steady)
@@ -145,6 +144,11 @@ class Session:
             if any(view.sharpness > MAX_EDGE_PX for view in views.values())
             else SessionState.HOLDING
         )
+
+    @property
+    def _seeing(self) -> tuple[str, ...]:
+        """Cameras that saw the board in the last round."""
+        return tuple(name for name in self.sizes if name in self._latest and self._latest[name][0] == self._now_s)
 
     def _moves(self, before: tuple[float, BoardView], view: BoardView) -> bool:
         return _moved_px(before[1], view) > max(NOISE_PX, MAX_SPEED_PX_S * (self._now_s - before[0]))
@@ -187,8 +191,7 @@ class Session:
             left = 1.0 - (self._now_s - self._held_from_s) / COUNTDOWN_S
             count = max(1, math.ceil(COUNTS * left))
         taken = self._taken
-        seeing = tuple(name for name in self.sizes if name in self._seeing)
-        return Progress(self._state, count, len(self._sets), seeing, taken.cameras, taken.pairs, taken.missing)
+        return Progress(self._state, count, len(self._sets), self._seeing, taken.cameras, taken.pairs, taken.missing)
 
     def _summary(self) -> _Taken:
         views = self.view_set
