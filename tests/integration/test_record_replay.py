@@ -185,6 +185,7 @@ async def test_a_session_survives_recording_and_replay(router: BusConfig, tmp_pa
     for key in {key for key, _, _ in sent}:
         assert [entry for entry in content(live) if entry[0] == key] == [entry for entry in sent if entry[0] == key]
 
+    runs: list[tuple[float, str]] = []
     for attempt in ("first", "second", "third", "fourth"):  # other processes may disturb some runs
         file = tmp_path / f"{attempt}.mcap"
         async with recording(router, file):
@@ -195,17 +196,20 @@ async def test_a_session_survives_recording_and_replay(router: BusConfig, tmp_pa
             sample.t_ns for sample in live if sample.key != CONFIG[0]
         ]
         errors_ms = spacing_errors_ms(live, again)
+        p99_ms = float(np.percentile(errors_ms, 99))
         drift_s = abs((again[-1].log_ns - again[0].log_ns) - (live[-1].log_ns - live[0].log_ns)) / 1e9
-        figures = f"spacing p50 {np.median(errors_ms):.2f} p99 {np.percentile(errors_ms, 99):.2f} ms, {said_by_replay}"
+        figures = f"spacing p50 {np.median(errors_ms):.2f} p99 {p99_ms:.2f} ms, {said_by_replay}"
         logger.info("%d samples: %s", len(again), figures)
-        if np.percentile(errors_ms, 99) < 2.0:
+        runs.append((p99_ms, figures))
+        if p99_ms < 2.0:
             break
     async with recording(router, tmp_path / "quick.mcap"):
         begun = time.monotonic()
         await replay(router, tmp_path / "live.mcap", "--rate", "10")
         quick_s = time.monotonic() - begun
     assert content(list(open_mcap(tmp_path / "quick.mcap").samples())) == content(live), "ten times as fast, in order"
-    in_time(float(np.percentile(errors_ms, 99)), 2.0, figures, "ms")
+    least_ms, figures = min(runs)
+    in_time(least_ms, 2.0, figures, "ms")
     in_time(drift_s, 0.02, "drift")
     in_time(quick_s, 0.5 * SESSION_S, "ten times as fast")
 
