@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 # Without compiled modules every process that a test starts, and every worker, would compile all of them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help sim foreign test faults stacks lint web openxr release page holder worlds grasps format clean
+.PHONY: help sim foreign test collected faults stacks lint web openxr release page holder worlds grasps format clean
 
 help:
 	@echo "make sim      set up, then run the simulated rig for $(DURATION) s (DURATION=60 for longer)"
@@ -120,13 +120,17 @@ WORKERS := $(shell expr $$(nproc || getconf _NPROCESSORS_ONLN) + 1)
 # Programs of others and the page are fetched and built while the environment is set up, which keeps one core busy.
 # What is judged by the clock wants both cores to itself; everything else shares them.
 test:
-	@$(MAKE) --no-print-directory --jobs 3 foreign page lint
+	@$(MAKE) --no-print-directory --jobs 4 foreign page lint collected
 	@$(BIN)/pytest --numprocesses $(WORKERS) --dist loadgroup -m "not faults and not stacks and not (integration and real_time)" -rs
 	@$(BIN)/pytest -m "integration and real_time and not faults and not stacks" -rs $(REAL_TIME)
 
 # As root on Debian it installs what is missing; emulated machines are kept in .stacks (7 GB).
 stacks: $(READY)
 	@$(BIN)/python tests/stacks/run.py $(STACKS)
+
+# Three workers that find nothing compiled would compile all of it three times.
+collected: $(READY)
+	@$(BIN)/pytest --collect-only > $(VENV)/collected || { cat $(VENV)/collected; exit 1; }
 
 faults: $(READY) page
 	@RHOT_FAULTS_ROUNDS=$(ROUNDS) $(BIN)/pytest -m faults -rs

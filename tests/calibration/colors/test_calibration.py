@@ -168,6 +168,7 @@ def read(thesis_rig: Path, photo: str) -> Any:
     return np.asarray(image, np.uint8)
 
 
+@pytest.mark.xdist_group("colours of photos")
 @pytest.mark.parametrize(
     ("source", "target"),
     [
@@ -195,6 +196,7 @@ def test_painted_markers_of_real_photos_are_found(
         assert found[name].area == pytest.approx(marker["area_px"], rel=0.35), name
 
 
+@pytest.mark.xdist_group("colours of photos")
 @pytest.mark.parametrize(
     ("photo", "light"),
     [("final_finger_markers.jpg", (1.25, 0.8)), ("GOPR0442.MP4.Standbild001.jpg", (0.8, 1.25))],
@@ -216,6 +218,7 @@ def test_real_paints_are_found_while_the_light_changes(
         assert np.hypot(found[name].u - marker["cx"], found[name].v - marker["cy"]) < 3.0, name
 
 
+@pytest.mark.xdist_group("colours of photos")
 def test_pictures_without_markers_show_none(
     thesis_rig: Path, photo_colors: Callable[[str, float], ColorsFile], markers: Any
 ) -> None:

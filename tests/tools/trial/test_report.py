@@ -23,6 +23,7 @@ from rhot_tools.trial.report import finger_figures, report, trial_of
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 EXAMPLE = EXAMPLES / "analysis.py"
+pytestmark = pytest.mark.xdist_group("reports")
 
 
 @pytest.fixture(scope="module")

@@ -160,13 +160,18 @@ def marker_share(gray: GrayImage, board: Board) -> float | None:
 def seen_dictionary(gray: GrayImage) -> tuple[str, int] | None:
     """Return the dictionary whose markers a picture shows, the smallest that has them all, and how many; None = none.
 
-    All of OpenCV's dictionaries are tried, which takes half a second.
+    OpenCV's dictionaries are tried, the small ones first, until the next larger one of a kind shows no more: trying all
+    takes more than a second.
     """
     best: tuple[str, int] | None = None
     for name in sorted(dictionary_names(), key=_dictionary_size):
         seen = len(_markers_of(gray, cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))))
-        if seen >= MIN_MARKERS and (best is None or seen > best[1]):
+        if seen < MIN_MARKERS:
+            continue
+        if best is None or seen > best[1]:
             best = name, seen
+        elif seen == best[1] and name.rsplit("_", 1)[0] == best[0].rsplit("_", 1)[0]:
+            break
     return best
 
 
