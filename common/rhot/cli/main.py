@@ -142,8 +142,8 @@ def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> N
 @click.option(
     "--version", is_flag=True, expose_value=False, is_eager=True, callback=_show_version, help="Show the version."
 )
-@click.option("-v", "--verbose", count=True, help="Say more; for debugging.")
-@click.option("-q", "--quiet", is_flag=True, help="Say only what goes wrong.")
+@click.option("-v", "--verbose", count=True, help="Log more; for debugging.")
+@click.option("-q", "--quiet", is_flag=True, help="Log only what goes wrong; results and progress are shown as ever.")
 def main(verbose: int, quiet: bool) -> None:
     """RHOT tracks a hand with painted fingertips, and the objects it holds, with two cameras.
 
