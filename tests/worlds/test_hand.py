@@ -16,14 +16,21 @@ from worlds.hand import (
     joint_positions,
     marker_positions,
 )
-from worlds.skin import make_skin, surface_nets, with_patch
+from worlds.skin import Skin, make_skin, surface_nets, with_patch
 from worlds.world import random_hand
+
+pytestmark = pytest.mark.xdist_group("random hands")
 
 
 @pytest.fixture(scope="module", params=[3, 4])
 def hand(request: pytest.FixtureRequest) -> Hand:
     rng = np.random.default_rng(request.param)
     return with_patch(random_hand(rng), rng)
+
+
+@pytest.fixture(scope="module")
+def skin(hand: Hand) -> Skin:
+    return make_skin(hand)
 
 
 def test_bones_keep_their_lengths_in_any_pose(hand: Hand) -> None:
@@ -63,8 +70,7 @@ def test_markers_lie_inside_their_fingertips_and_move_with_them(hand: Hand) -> N
     assert np.ptp(np.linalg.norm(apart, axis=1)) < 1e-9
 
 
-def test_skin_is_painted_on_rigid_tips_only(hand: Hand) -> None:
-    skin = make_skin(hand)
+def test_skin_is_painted_on_rigid_tips_only(hand: Hand, skin: Skin) -> None:
     np.testing.assert_allclose(skin.weights.sum(axis=1), 1.0, atol=1e-9)
     painted = skin.beyond > 0.0
     distal = [BONES.index(f"{finger}_distal") for finger in MARKERS[:5]]
@@ -81,8 +87,7 @@ def test_skin_is_painted_on_rigid_tips_only(hand: Hand) -> None:
     assert 0.36 < skin.width_mm / hand.length_mm < 0.50
 
 
-def test_patch_touches_the_back_of_the_hand_from_outside(hand: Hand) -> None:
-    skin = make_skin(hand)
+def test_patch_touches_the_back_of_the_hand_from_outside(hand: Hand, skin: Skin) -> None:
     inverse = np.linalg.inv(hand.T_hand_patch)
     local = skin.vertices @ inverse[:3, :3].T + inverse[:3, 3]
     under = (np.abs(local[:, :2]) < np.array(hand.patch[:2]) / 2).all(axis=1) & (local[:, 2] < 20.0)
