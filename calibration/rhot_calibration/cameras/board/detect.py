@@ -160,18 +160,20 @@ def marker_share(gray: GrayImage, board: Board) -> float | None:
 def seen_dictionary(gray: GrayImage) -> tuple[str, int] | None:
     """Return the dictionary whose markers a picture shows, the smallest that has them all, and how many; None = none.
 
-    OpenCV's dictionaries are tried, the small ones first, until the next larger one of a kind shows no more: trying all
-    takes more than a second.
+    OpenCV's dictionaries are tried, the small ones first. A larger one of a kind, such as 4X4, begins with the markers
+    of the smaller ones: once it confirms what a smaller one shows, other kinds are not tried, which takes a second.
     """
     best: tuple[str, int] | None = None
+    kind = "DICT_"
     for name in sorted(dictionary_names(), key=_dictionary_size):
-        seen = len(_markers_of(gray, cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))))
-        if seen < MIN_MARKERS:
+        if not name.startswith(kind):
             continue
-        if best is None or seen > best[1]:
+        seen = len(_markers_of(gray, cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))))
+        own_kind = name.rpartition("_")[0] + "_"
+        if seen >= MIN_MARKERS and (best is None or seen > best[1]):
             best = name, seen
-        elif seen == best[1] and name.rsplit("_", 1)[0] == best[0].rsplit("_", 1)[0]:
-            break
+        elif best is not None and seen == best[1] and best[0].startswith(own_kind):
+            kind = own_kind
     return best
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from boards.pictures import board_picture
 
-from rhot_calibration.cameras.board.detect import detect_board, looks_mirrored, wrong_count_hint
+from rhot_calibration.cameras.board.detect import detect_board, looks_mirrored, seen_dictionary, wrong_count_hint
 from rhot_calibration.cameras.board.grid import GrayImage, parse_board
 from rhot_calibration.cameras.solve.views import Board
 
@@ -114,3 +114,20 @@ def test_charuco_corners_on_one_line_are_refused() -> None:
     picture[below + 8 :] = 90
     view = detect_board(picture, CHARUCO)
     assert view is None or len({int(number) // 9 for number in view.ids}) > 1
+
+
+@pytest.mark.parametrize(
+    ("dictionary", "numbers", "smallest"),
+    [
+        ("DICT_6X6_250", (1, 2, 3, 4), "DICT_6X6_50"),
+        ("DICT_6X6_250", (10, 20, 60, 70, 150, 200), "DICT_6X6_250"),
+        ("DICT_6X6_250", (1, 2, 3, 200), "DICT_6X6_250"),
+        ("DICT_APRILTAG_36H11", (1, 2, 3, 400), "DICT_APRILTAG_36H11"),
+    ],
+)
+def test_the_dictionary_is_the_smallest_that_has_all_markers(
+    dictionary: str, numbers: tuple[int, ...], smallest: str
+) -> None:
+    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    tiles = [np.pad(markers.generateImageMarker(number, 80), 20, constant_values=255) for number in numbers]
+    assert seen_dictionary(np.hstack(tiles)) == (smallest, len(numbers))
