@@ -124,13 +124,13 @@ test:
 	@$(BIN)/pytest --numprocesses $(WORKERS) --dist loadgroup -m "not faults and not stacks and not (integration and real_time)" -rs
 	@$(BIN)/pytest -m "integration and real_time and not faults and not stacks" -rs $(REAL_TIME)
 
+# Compiles all tests, since workers that find nothing compiled would each do it; a test that cannot be imported ends here.
+collected: $(READY)
+	@$(BIN)/pytest -q --collect-only > $(VENV)/collected || { cat $(VENV)/collected; exit 1; }
+
 # As root on Debian it installs what is missing; emulated machines are kept in .stacks (7 GB).
 stacks: $(READY)
 	@$(BIN)/python tests/stacks/run.py $(STACKS)
-
-# Three workers that find nothing compiled would compile all of it three times.
-collected: $(READY)
-	@$(BIN)/pytest --collect-only > $(VENV)/collected || { cat $(VENV)/collected; exit 1; }
 
 faults: $(READY) page
 	@RHOT_FAULTS_ROUNDS=$(ROUNDS) $(BIN)/pytest -m faults -rs

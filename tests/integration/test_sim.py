@@ -227,7 +227,8 @@ def test_sigterm_at_the_start_leaves_neither_a_folder_nor_a_child(tmp_path: Path
     assert list(tmp_path.glob("rhot-sim*")) == []
 
 
-@pytest.mark.parametrize(("after_s", "number"), [(0.5, signal.SIGTERM), (1.5, signal.SIGINT)])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("after_s", [0.5, 1.5])
 def test_an_interrupted_init_can_be_done_again(tmp_path: Path, after_s: float, number: int) -> None:
     command = [sys.executable, "-m", "rhot", "init", str(tmp_path / "rig"), "--sim"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
